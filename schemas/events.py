@@ -80,7 +80,10 @@ class RankedScene(BaseModel):
     end_ns: StampNs = Field(description="Last frame, nanoseconds since the Unix epoch.")
     score: float = Field(ge=0, le=1, description="As in the record.")
     reasons: tuple[Kept, ...] = Field(
-        default=(), max_length=MAX_LISTED, description="Headlines of the record's reasons."
+        fail_fast=True,
+        default=(),
+        max_length=MAX_LISTED,
+        description="Headlines of the record's reasons.",
     )
     tracks: tuple[TrackSummary, ...] = Field(
         default=(),
@@ -102,6 +105,7 @@ class RankedScene(BaseModel):
         "published selections, and where verdicts were not requested.",
     )
     same_logs: tuple[Kept, ...] = Field(
+        fail_fast=True,
         default=(),
         max_length=MAX_LISTED,
         exclude_if=lambda value: not value,

@@ -7,7 +7,7 @@ import zenoh
 from schemas.backlog import WorkBacklog
 from schemas.transport import keys
 from schemas.transport.ask import ask
-from schemas.transport.wire import decode
+from schemas.transport.wire import decode_reply
 
 _BACKLOG_S: Final = 2.0
 """Time for the answer of a service, seconds."""
@@ -16,5 +16,5 @@ _BACKLOG_S: Final = 2.0
 def work_left(session: zenoh.Session, root: str) -> int:
     """Ask the service for the number of plans and shards that wait or are leased."""
     key = keys.control(root=root, verb="backlog")
-    found = decode(WorkBacklog, ask(session, key, timeout_s=_BACKLOG_S))
+    found = decode_reply(WorkBacklog, ask(session, key, timeout_s=_BACKLOG_S), to="backlog")
     return found.waiting + found.leased

@@ -3,9 +3,12 @@
 from typing import Final, TypeVar
 
 from pydantic import BaseModel, ValidationError
+from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from schemas.canonical import canonical_json
+from schemas.errors import PermanentError
 from schemas.score import MAX_RECORD_BYTES, SCHEMA_VERSION, SceneScore
+from schemas.transport.affordable import too_costly
 from schemas.visible import visible
 
 SCENE_SCORE_ENCODING: Final = ("application/json", f"counterpoint.scene_score.v{SCHEMA_VERSION}")
@@ -33,12 +36,32 @@ def encode(message: BaseModel) -> bytes:
 
 
 def decode(kind: type[Message], payload: bytes) -> Message:
-    """Decode and validate a message.
+    """Decode and validate a message, which anyone may have sent.
 
     Raises:
-        pydantic.ValidationError: If it is not a message of this kind.
+        pydantic.ValidationError: If it is not a message of this kind, or would cost too much memory
+            to decode.
     """
+    if problem := too_costly(kind, payload):
+        error = PydanticCustomError("too_costly", "{problem}", {"problem": problem})
+        details = InitErrorDetails(type=error, input=None)
+        raise ValidationError.from_exception_data(kind.__name__, [details])
     return kind.model_validate_json(payload)
+
+
+def decode_reply(kind: type[Message], payload: bytes, *, to: str) -> Message:
+    """Decode and validate what a service answers to a verb.
+
+    Raises:
+        PermanentError: If it is not a message of this kind.
+    """
+    try:
+        return decode(kind, payload)
+    except ValidationError as error:
+        raise PermanentError(
+            f"the service's answer to {to} cannot be read; are both sides of the same version? "
+            f"({first_problem(error)})"
+        ) from None
 
 
 def first_problem(error: ValidationError) -> str:

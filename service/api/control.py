@@ -44,7 +44,6 @@ from service.api.messages import (
     VerdictsReply,
     verdicts_reply,
 )
-from service.api.payload_check import require_affordable
 from service.api.reader import no_such_scene, no_such_selection
 from service.api.request_queue import RequestQueue, malformed
 from service.api.sparse_log import SparseLog
@@ -141,7 +140,6 @@ class Control:
         kind, request = VERBS[verb].request, None
         if kind is not None:
             try:
-                require_affordable(kind, payload)
                 request = decode(kind, payload)
             except ValidationError as error:
                 raise malformed(verb, error) from None

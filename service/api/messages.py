@@ -75,6 +75,7 @@ class Learned(BaseModel):
 
     effect: LearnedEffect
     chances: tuple[Chance, ...] = Field(
+        fail_fast=True,
         max_length=MAX_LISTED,
         description="By row: that the supervised stream is wrong; the score where this ranks.",
     )
@@ -85,7 +86,7 @@ class TopReply(BaseModel):
 
     model_config = _STRICT
 
-    scenes: tuple[RankedScene, ...] = Field(max_length=MAX_LISTED)
+    scenes: tuple[RankedScene, ...] = Field(fail_fast=True, max_length=MAX_LISTED)
     learned: Learned | None = Field(
         default=None,
         exclude_if=lambda value: value is None,
@@ -98,7 +99,7 @@ class RatesReply(BaseModel):
 
     model_config = _STRICT
 
-    rows: tuple[RateRow, ...] = Field(max_length=MAX_LISTED)
+    rows: tuple[RateRow, ...] = Field(fail_fast=True, max_length=MAX_LISTED)
 
 
 class SelectRequest(BaseModel):
@@ -148,7 +149,7 @@ class SelectionsReply(BaseModel):
 
     model_config = _STRICT
 
-    selections: tuple[SelectionSummary, ...] = Field(max_length=MAX_LISTED)
+    selections: tuple[SelectionSummary, ...] = Field(fail_fast=True, max_length=MAX_LISTED)
 
 
 class VerdictsReply(BaseModel):
@@ -196,7 +197,7 @@ class RetryReply(BaseModel):
 
     model_config = _STRICT
 
-    retried: tuple[ParkedWork, ...] = Field(max_length=MAX_LISTED)
+    retried: tuple[ParkedWork, ...] = Field(fail_fast=True, max_length=MAX_LISTED)
 
 
 def checked_request(kind: type[Request], /, **fields: Any) -> Request:

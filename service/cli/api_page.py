@@ -12,10 +12,10 @@ from pydantic import BaseModel
 
 import service.client
 from service.cli.output import page
-from service.client.client import watch_scenes
 from service.client.counterpoint import Counterpoint
 from service.client.merge import SceneEvent
 from service.client.rows import Rows
+from service.client.watching import watch_scenes
 from service.curation.activity import ActivityRequest
 from service.curation.comparison import CompareRequest
 from service.curation.listing import ScenesRequest

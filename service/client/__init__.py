@@ -2,5 +2,5 @@
 
 from schemas.transport.locks import Locks as Locks
 from service.client.client import ControlClient as ControlClient
-from service.client.client import watch_scenes as watch_scenes
 from service.client.counterpoint import Counterpoint as Counterpoint
+from service.client.watching import watch_scenes as watch_scenes

@@ -12,10 +12,11 @@ from schemas.transport.locks import OPEN, Locks
 from schemas.transport.overlay_codec import decode_overlay
 from schemas.verdict import VerdictRow
 from service.api.messages import checked_request
-from service.client.client import ControlClient, watch_scenes
+from service.client.client import ControlClient
 from service.client.merge import SceneEvent
 from service.client.over_http import TIMEOUT_S, HttpClient
 from service.client.rows import Rows, rows_of
+from service.client.watching import watch_scenes
 from service.curation.activity import ActivityReply, ActivityRequest
 from service.curation.candidates import Choice
 from service.curation.comparison import CompareRequest, Comparison

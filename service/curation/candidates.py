@@ -72,7 +72,7 @@ class Proposal(BaseModel):
     strategy: Kept
     budget: int = Field(ge=1, le=MAX_INTEGER, description="Number of scenes requested.")
     taken: Count = Field(description="Scenes of earlier selections, which are not chosen again.")
-    choices: tuple[Choice, ...] = Field(max_length=MAX_LISTED)
+    choices: tuple[Choice, ...] = Field(fail_fast=True, max_length=MAX_LISTED)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -197,4 +197,4 @@ class Comparison(BaseModel):
     modes: bool = Field(description="False: modes were not compared, scikit-learn is missing.")
     regressed: Count = Field(description="Groups that regressed beyond the tolerance.")
     improved: Count
-    groups: tuple[ComparedGroup, ...] = Field(max_length=MAX_LISTED)
+    groups: tuple[ComparedGroup, ...] = Field(fail_fast=True, max_length=MAX_LISTED)

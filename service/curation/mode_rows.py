@@ -76,7 +76,7 @@ class ModesReply(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    modes: tuple[ModeRow, ...] = Field(max_length=MAX_LISTED)
+    modes: tuple[ModeRow, ...] = Field(fail_fast=True, max_length=MAX_LISTED)
     tracks: Count = Field(description="Strong tracks on which the supervised stream errs.")
     without: Count = Field(description="Of them, those of no mode.")
     hours: Finite = Field(description="Hours driven in current scenes.")

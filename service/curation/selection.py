@@ -23,7 +23,9 @@ class Selection(BaseModel):
     )
     budget: int = Field(ge=1, le=MAX_INTEGER, description="Number of scenes requested.")
     scenes: tuple[RankedScene, ...] = Field(
-        max_length=MAX_LISTED, description="Best first, with their rank at the time."
+        fail_fast=True,
+        max_length=MAX_LISTED,
+        description="Best first, with their rank at the time.",
     )
 
     @property

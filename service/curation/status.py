@@ -29,14 +29,14 @@ class LogStatus(BaseModel):
     vehicle: Kept = "unknown"
     date: Kept = "unknown"
     software_version: Kept = "unknown"
-    lidar_topics: tuple[Kept, ...] = Field(default=(), max_length=MAX_LISTED)
+    lidar_topics: tuple[Kept, ...] = Field(fail_fast=True, default=(), max_length=MAX_LISTED)
     problem: Kept = Field(
         default="", description="Cause of a refused or parked log; or which log has its bytes."
     )
     truncated_parts: Count = Field(
         default=0, description="Objects that were never closed, and are used up to their end."
     )
-    damage: tuple[Damage, ...] = Field(default=(), max_length=MAX_LISTED)
+    damage: tuple[Damage, ...] = Field(fail_fast=True, default=(), max_length=MAX_LISTED)
     shards: dict[Kept, Count] = Field(
         default_factory=dict, max_length=MAX_LISTED, description="Shards by state."
     )
@@ -113,11 +113,12 @@ class Status(BaseModel):
     pipeline_version: Kept = Field(
         description="Newest pipeline version; empty: no worker has claimed work yet."
     )
-    logs: tuple[LogStatus, ...] = Field(default=(), max_length=MAX_LISTED)
+    logs: tuple[LogStatus, ...] = Field(fail_fast=True, default=(), max_length=MAX_LISTED)
     logs_by_state: dict[Kept, Count] = Field(default_factory=dict, max_length=MAX_LISTED)
     shards_by_state: dict[Kept, Count] = Field(default_factory=dict, max_length=MAX_LISTED)
-    parked: tuple[ParkedWork, ...] = Field(default=(), max_length=MAX_LISTED)
+    parked: tuple[ParkedWork, ...] = Field(fail_fast=True, default=(), max_length=MAX_LISTED)
     retried: tuple[ParkedWork, ...] = Field(
+        fail_fast=True,
         default=(),
         max_length=MAX_LISTED,
         description="Retried work, with the error for which it was parked; it has not failed "
@@ -135,6 +136,7 @@ class Status(BaseModel):
     points: PointTotals = Field(default_factory=PointTotals)
     skipped: SkippedEntries = Field(default_factory=SkippedEntries)
     judged: tuple[Judged, ...] = Field(
+        fail_fast=True,
         default=(),
         max_length=MAX_LISTED,
         description="Streams that the current scenes compare; the most frequent pair first.",

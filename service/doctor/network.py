@@ -12,7 +12,7 @@ from schemas.transport import keys
 from schemas.transport.ask import UnansweredError, ask
 from schemas.transport.bus import client_session
 from schemas.transport.locks import days_left, name_in
-from schemas.transport.wire import decode
+from schemas.transport.wire import decode_reply
 from service.api.messages import AboutReply
 from service.background.heartbeat import workers_alive
 from service.doctor.finding import Finding, ok, problem, warning
@@ -59,7 +59,7 @@ def _of_which_version(session: zenoh.Session, *, root: str) -> Finding:
     except UnansweredError:
         theirs = "an older version that does not report its own number,"
     else:
-        theirs = f"version {decode(AboutReply, about).package}"
+        theirs = f"version {decode_reply(AboutReply, about, to='about').package}"
     if theirs == f"version {ours}":
         return ok("service", f"{answers}, of {theirs}")
     return warning(

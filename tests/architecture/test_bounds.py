@@ -79,6 +79,10 @@ def _problem(kind: Any, node: dict[str, Any]) -> str:
             return f"a {kind} without a bound"
         case "tuple" if "variadic_item_index" in node and "max_length" not in node:
             return "a list without a bound"
+        case "tuple" if node.get("max_length", 0) > MAX_SCENES_OF_A_SHARD and not node.get(
+            "fail_fast"
+        ):
+            return "a long list that keeps an error for each item"
         case "any" | "bytes" | "json":
             return f"of type {kind}"
     return ""
@@ -100,6 +104,7 @@ def test_a_field_without_a_bound_is_found() -> None:
         text: str | None = None
         words: tuple[str, ...] = ()
         counts: dict[str, int] = Field(default_factory=dict)
+        many: tuple[bool, ...] = Field(max_length=10**6)
 
     class Holds(BaseModel):
         loose: tuple[Loose]
@@ -110,6 +115,7 @@ def test_a_field_without_a_bound_is_found() -> None:
         ".loose.share: a float that may be infinite or NaN",
         ".loose.text: a text without a bound",
         ".loose.words: a list without a bound",
+        ".loose.many: a long list that keeps an error for each item",
         ".loose.words: a text without a bound",
         ".loose.counts: a dict without a bound",
         ".loose.counts: a text without a bound",

@@ -18,7 +18,6 @@ from hypothesis import strategies as st
 from pydantic import BaseModel, ValidationError
 
 from schemas.canonical import sha256
-from schemas.errors import PermanentError
 from schemas.events import RankedScene, SceneNumber
 from schemas.problem import Problem
 from schemas.score import SceneScore
@@ -27,7 +26,6 @@ from schemas.transport.keys import DEFAULT_ROOT as ROOT
 from schemas.transport.wire import decode, encode, first_problem
 from schemas.verdict import VerdictRow
 from schemas.work import ClaimReply, CommitRequest, ManifestEntry, MineLease, PlanLease
-from service.api.payload_check import require_affordable
 from service.api.staging import MOST_BYTES, Staging
 from service.api.verbs import VERBS
 from service.store.manifest import verify
@@ -175,13 +173,9 @@ def _problem_of(sent_as: str, kind: type[BaseModel], payload: bytes, staging: St
         assert staging.waiting_bytes <= MOST_BYTES, staging.waiting_bytes
         _check_commit_of(payload)
     try:
-        if sent_as == "request":
-            require_affordable(kind, payload)
         message = decode(kind, payload)
     except ValidationError as error:
         return first_problem(error)
-    except PermanentError as error:
-        return str(error)
     assert decode(kind, encode(message)) == message, "not the same after a round trip"
     if isinstance(message, SceneScore):
         _check_key_of(message)

@@ -5,18 +5,17 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from threading import Event, Thread
 from types import TracebackType
-from typing import Final, Literal, Self, TypeVar
+from typing import Final, Literal, Self
 
 import structlog
 import zenoh
-from pydantic import BaseModel, ValidationError
 
-from schemas.errors import CounterpointError, PermanentError, TransientError
+from schemas.errors import CounterpointError, TransientError
 from schemas.mining import MiningSettings
 from schemas.runtime.retry import StoppedError
 from schemas.transport import keys
 from schemas.transport.ask import ask, ask_until
-from schemas.transport.wire import decode, encode
+from schemas.transport.wire import Message, decode_reply, encode
 from schemas.work import (
     Answer,
     ClaimReply,
@@ -41,8 +40,6 @@ ASK_S: Final = 10.0
 RENEW_ASK_S: Final = 5.0
 """Timeouts of a request and of a renewal, seconds; a request is repeated, a renewal at its next
 time."""
-
-Reply = TypeVar("Reply", bound=BaseModel)
 
 
 class LeaseLostError(CounterpointError):
@@ -98,17 +95,17 @@ class Leases:
         """
         request = RenewRequest(worker_id=self.worker_id, lease_id=lease_id)
         answer = ask(self._session, self._key("renew"), encode(request), timeout_s=RENEW_ASK_S)
-        return decode(Answer, answer)
+        return decode_reply(Answer, answer, to="renew")
 
     def _ask(
         self,
         verb: Verb,
         payload: bytes,
-        kind: type[Reply],
+        kind: type[Message],
         *,
         stop: Event,
         patience_s: float = float("inf"),
-    ) -> Reply:
+    ) -> Message:
         answer = ask_until(
             self._session,
             self._key(verb),
@@ -117,13 +114,7 @@ class Leases:
             patience_s=patience_s,
             timeout_s=min(ASK_S, patience_s),
         )
-        try:
-            return decode(kind, answer)
-        except ValidationError as error:
-            raise PermanentError(
-                f"the service's answer to {verb} is of another version; install the same version "
-                f"on both sides ({error.error_count()} fields differ)"
-            ) from None
+        return decode_reply(kind, answer, to=verb)
 
     def _key(self, verb: Verb) -> str:
         if self._is_named and verb != "hello":

@@ -3,12 +3,14 @@
 import json
 
 import pytest
+from pydantic import ValidationError
 
 from schemas.bounds import MAX_DENSE_BYTES
 from schemas.errors import PermanentError
-from schemas.transport.wire import decode, encode
+from schemas.transport.affordable import too_costly
+from schemas.transport.wire import decode, decode_reply, encode
 from schemas.work import ChunkRef, CommitRequest, FailRequest, LogPlan, ManifestEntry
-from service.api.payload_check import require_affordable
+from service.curation.status import LogStatus, Status
 
 HEAD = b'{"worker_id":"w","lease_id":"l",'
 
@@ -26,8 +28,9 @@ HEAD = b'{"worker_id":"w","lease_id":"l",'
     ],
 )
 def test_what_would_grow_when_it_is_decoded_is_refused(payload: bytes) -> None:
-    with pytest.raises(PermanentError, match="a message of "):
-        require_affordable(CommitRequest, payload)
+    with pytest.raises(ValidationError, match="a message of ") as refused:
+        decode(CommitRequest, payload)
+    assert refused.value.error_count() == 1
 
 
 def test_a_large_plan_and_a_large_manifest_are_decoded() -> None:
@@ -48,7 +51,7 @@ def test_a_large_plan_and_a_large_manifest_are_decoded() -> None:
     ):
         payload = json.dumps({"worker_id": "w", "lease_id": "l"} | body, separators=(",", ":"))
         assert len(payload) > MAX_DENSE_BYTES
-        require_affordable(CommitRequest, payload.encode())
+        assert too_costly(CommitRequest, payload.encode()) == ""
 
 
 def test_a_list_of_wrong_entries_costs_one_error() -> None:
@@ -60,3 +63,21 @@ def test_a_list_of_wrong_entries_costs_one_error() -> None:
 def test_an_error_that_quotes_half_a_surrogate_pair_can_be_sent() -> None:
     fail = FailRequest(worker_id="w", lease_id="l", error="field \ud800 is odd", permanent=True)
     assert decode(FailRequest, encode(fail)).error == "field ? is odd"
+
+
+def test_a_reply_that_nobody_can_afford_or_read_is_refused_in_one_sentence() -> None:
+    for payload in (b'{"logs":[' + b"0," * 500_000 + b"0]}", b'{"logs":0}'):
+        with pytest.raises(PermanentError, match="answer to status cannot be read") as refused:
+            decode_reply(Status, payload, to="status")
+        assert "\n" not in str(refused.value)
+
+
+def test_the_status_of_many_logs_is_read() -> None:
+    states = ("pending", "leased", "done", "parked")
+    logs = tuple(
+        LogStatus(log_id=f"car/{n}", state="done", shards=dict.fromkeys(states, n))
+        for n in range(5000)
+    )
+    payload = encode(Status(pipeline_version="1", logs=logs))
+    assert len(payload) > MAX_DENSE_BYTES
+    assert decode(Status, payload).logs == logs
