@@ -1,4 +1,4 @@
-"""The system of `deploy/compose.yaml`, built and run by a container engine, with its pages apart."""
+"""The system of `deploy/compose.yaml`, built and run by a container engine."""
 
 import json
 import os
