@@ -11,11 +11,13 @@ from schemas.transport.bucket import open_bucket
 from schemas.transport.bus import client_session, router_session
 from schemas.transport.keys import DEFAULT_ROOT
 from service.app import Service
+from service.embedded import DRAINING
 from service.settings.config import Settings
 from service.store.engine import open_store
 from service.store.ledger import LeasePolicy, Ledger
 from tests.free_ports import free_endpoint
 from tests.integration.conftest import SHARD_S, SHARDS, VEHICLES, Undisturbed
+from tests.integration.daemons import Daemon
 from tests.integration.ray_cluster import RayNodes, ray_nodes
 from tests.needed import needed
 
@@ -86,3 +88,16 @@ def test_two_of_three_nodes_are_killed_and_all_scenes_are_those_of_a_local_run(
 @pytest.mark.parametrize(("backlog", "workers"), [(0, 2), (2, 2), (5, 5), (900, 8)])
 def test_the_size_follows_the_backlog_between_its_bounds(backlog: int, workers: int) -> None:
     assert wanted_size(backlog, RayOptions(least=2, most=8)) == workers
+
+
+def test_the_process_of_a_pool_drains_on_a_signal_and_ends_with_0(
+    tmp_path: Path, cluster: RayNodes
+) -> None:
+    endpoint = free_endpoint()
+    options = ("--pool", "ray", "--ray-address", cluster.address, "--connect", endpoint)
+    pool = Daemon(tmp_path, "pool", "worker", "--workers", "1", *options)
+    with router_session([endpoint]):
+        pool.start()
+        until(lambda: "1 workers on Ray" in pool.said(), "a pool")
+        assert pool.stop() == 0, pool.said()
+    assert DRAINING in pool.said()

@@ -6,12 +6,14 @@ worker expires, and another worker takes it.
 
 import math
 import re
+import signal
 import socket
 import time
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from threading import Event, Thread
+from threading import Event, Thread, current_thread, main_thread
 from types import TracebackType
 from typing import Any, Final, Self
 
@@ -316,13 +318,28 @@ def connect_to(address: str) -> Any:
         ) from None
     if not ray.is_initialized():
         try:
-            ray.init(address=address, log_to_driver=False, namespace="counterpoint")
+            with _own_signals():
+                ray.init(address=address, log_to_driver=False, namespace="counterpoint")
         except (ConnectionError, RuntimeError, ValueError) as error:
             raise TransientError(
                 f"no Ray cluster answers at {address!r}: start one with `ray start --head`, or "
                 f"name it with ray_address ({type(error).__name__})"
             ) from error
     return ray
+
+
+@contextmanager
+def _own_signals() -> Iterator[None]:
+    """Keep the handlers of signals: Ray sets one that ends the process with exit code 15."""
+    if current_thread() is not main_thread():  # Ray sets none there
+        yield
+        return
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _machine() -> str:
