@@ -25,6 +25,7 @@ from workers.lab.evaluation.failures.planting.bench import bench_planting
 from workers.lab.evaluation.failures.planting.boxes import boxes_of_variant, messages_of_variant
 from workers.lab.evaluation.failures.planting.drive import Drive, FrameRange
 from workers.lab.evaluation.failures.planting.mine_variant import mine_answers
+from workers.lab.evaluation.failures.planting.true_boxes import _onto
 from workers.lab.evaluation.failures.planting.variants import (
     Answer,
     Planting,
@@ -34,6 +35,7 @@ from workers.lab.evaluation.failures.planting.variants import (
 from workers.lab.evaluation.truth.truth import TruthUnusableError
 from workers.lab.evaluation.truth.whole_log import shards_of_log
 from workers.lab.labels.noise_settings import REAL
+from workers.lab.simulation.faults.detected_boxes import Body
 from workers.lab.simulation.faults.plan import FailureKind
 from workers.lab.simulation.faults.recorded import recorded_classes
 from workers.lab.simulation.output.box_messages import BOXES_TOPIC
@@ -142,6 +144,22 @@ def test_true_boxes_contain_the_points_of_their_objects(drive: Drive) -> None:
             shares.append(float((np.abs(offsets) < body.size_m / 2 + 0.15).all(axis=1).mean()))
     assert len(shares) > 100
     assert np.median(shares) > 0.95
+
+
+@pytest.mark.parametrize(("shift_m", "moved_m"), [(0.6, 0.6), (-0.6, -0.6), (0.0, 0.0)])
+def test_a_box_that_lags_is_moved_onto_its_object(shift_m: float, moved_m: float) -> None:
+    along = np.array([0.6, 0.8, 0.0])
+    box = Body(
+        "car",
+        np.array([3.0, 1.0, 0.5]),
+        float(np.arctan2(0.8, 0.6)),
+        np.array([4.0, 1.8, 1.5]),
+        10.0 * along[:2],
+    )
+    places = box.centre_m + (np.linspace(-2.0, 2.0, 201)[:, None] + shift_m) * along
+    found = _onto(box, places).centre_m - box.centre_m
+    assert found @ along == pytest.approx(moved_m, abs=0.1)
+    assert np.linalg.norm(found) == pytest.approx(abs(found @ along), abs=1e-9)
 
 
 def test_planted_failures_are_missing_boxes_and_invented_velocities(drive: Drive) -> None:
