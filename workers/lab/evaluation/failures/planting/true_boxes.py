@@ -22,6 +22,9 @@ from workers.points.se3 import inverse
 _ENDS: Final = (0.02, 0.98)
 """Quantiles of an object's points along its box that are its ends: a few points are not its own."""
 
+_LAG_S: Final = 0.1
+"""Truth's box is off by no more than its object drives in one sweep: this is the fault known."""
+
 _NEEDED: Final = ("x", "y", "z", "yaw", "length", "width", "height")
 
 
@@ -68,7 +71,8 @@ def boxes_of_frame(
 
     Truth has a box where it was when the beam met it. A recorded cloud is not deskewed, so the box
     is placed by the true pose at the median time of the object's points. A box that lags behind a
-    fast object is moved along its heading onto the object's points.
+    fast object is moved along its heading onto the object's points, by no more than the object
+    drives in one sweep. The box of an object at rest stays where truth has it.
 
     Args:
         truth: Truth of the log.
@@ -140,6 +144,9 @@ def _onto(body: Body, places_m: NDArray[np.float64]) -> Body:
     Args:
         body: The box.
         places_m: (N, 3) points of its object, N >= 1, in the space of the box.
+
+    Returns:
+        The box, moved by no more than its object drives in one sweep.
     """
     ahead = np.array([np.cos(body.yaw_rad), np.sin(body.yaw_rad), 0.0])
     low_m, high_m = np.quantile((places_m - body.centre_m) @ ahead, _ENDS)
@@ -147,7 +154,9 @@ def _onto(body: Body, places_m: NDArray[np.float64]) -> Body:
     before_m, behind_m = max(0.0, high_m - half_m), max(0.0, -half_m - low_m)
     if before_m and behind_m:  # longer than its box: no place contains it
         return body
-    return replace(body, centre_m=body.centre_m + ahead * (before_m - behind_m))
+    most_m = _LAG_S * float(np.hypot(*body.velocity))
+    moved_m = float(np.clip(before_m - behind_m, -most_m, most_m))
+    return replace(body, centre_m=body.centre_m + ahead * moved_m)
 
 
 @lru_cache(maxsize=4)
