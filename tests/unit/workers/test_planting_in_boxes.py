@@ -1,11 +1,13 @@
 """Failures planted into the boxes of a detector that are made from the truth of a drive."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from mcap_ros2.writer import Writer
+from numpy.typing import NDArray
 
 from schemas.predicted_boxes import SCHEMA_NAME, PredictedBoxes
 from schemas.transport.bucket import open_bucket
@@ -23,17 +25,19 @@ from workers.ingest.read import read_shard
 from workers.lab.evaluation.failures.bench import jobs_of
 from workers.lab.evaluation.failures.planting.bench import bench_planting
 from workers.lab.evaluation.failures.planting.boxes import boxes_of_variant, messages_of_variant
-from workers.lab.evaluation.failures.planting.drive import Drive, FrameRange
+from workers.lab.evaluation.failures.planting.drive import Drive, DriveFrame, FrameRange
 from workers.lab.evaluation.failures.planting.mine_variant import mine_answers
+from workers.lab.evaluation.failures.planting.true_boxes import boxes_of_frame
 from workers.lab.evaluation.failures.planting.variants import (
     Answer,
     Planting,
     Variant,
     place_failures,
 )
-from workers.lab.evaluation.truth.truth import TruthUnusableError
+from workers.lab.evaluation.truth.truth import LogTruth, TruthUnusableError
 from workers.lab.evaluation.truth.whole_log import shards_of_log
 from workers.lab.labels.noise_settings import REAL
+from workers.lab.simulation.faults.detected_boxes import Body
 from workers.lab.simulation.faults.plan import FailureKind
 from workers.lab.simulation.faults.recorded import recorded_classes
 from workers.lab.simulation.output.box_messages import BOXES_TOPIC
@@ -47,6 +51,7 @@ from workers.lab.simulation.sensor.lidar import sweep
 from workers.lab.simulation.world.street_builder import build_street
 from workers.parts.protocols import Parts
 from workers.pipeline import mine_shard
+from workers.points.se3 import inverse
 from workers.version import parts_of
 
 TWO_FAILURES = Variant(
@@ -142,6 +147,59 @@ def test_true_boxes_contain_the_points_of_their_objects(drive: Drive) -> None:
             shares.append(float((np.abs(offsets) < body.size_m / 2 + 0.15).all(axis=1).mean()))
     assert len(shares) > 100
     assert np.median(shares) > 0.95
+
+
+def box_of_shifted(fleet: Path, frame: DriveFrame, track: int, shift_m: float) -> Body:
+    """Return the true box of an object whose points lie along its length, shifted ahead."""
+    truth = LogTruth.beside(
+        jobs_of(str(fleet / "logs"), fleet / "truth")[0].recording, fleet / "truth"
+    )
+    assert truth is not None
+    body, mine = frame.bodies[track], frame.track == track
+    reach_m = np.linspace(-0.5, 0.5, int(mine.sum())) * body.size_m[0] + shift_m
+    places = body.centre_m + reach_m[:, None] * ahead_of(body)
+    sensor_from_odom = inverse(frame.posed.odom_from_sensor)
+    points = frame.posed.frame.points_m.copy()
+    points[mine] = places @ sensor_from_odom[:3, :3].T + sensor_from_odom[:3, 3]
+    posed = replace(frame.posed, frame=replace(frame.posed.frame, points_m=points))
+    return boxes_of_frame(truth, frame.truth.number, posed, frame.track)[track]
+
+
+def ahead_of(body: Body) -> NDArray[np.float64]:
+    return np.array([np.cos(body.yaw_rad), np.sin(body.yaw_rad), 0.0])
+
+
+@pytest.mark.parametrize("shift_m", [0.4, -0.4, 0.0])
+def test_a_box_that_lags_is_moved_onto_its_object(
+    fleet: Path, drive: Drive, shift_m: float
+) -> None:
+    frame, track = seen_body(drive, least_mps=5.0, most_mps=30.0)
+    moved = box_of_shifted(fleet, frame, track, shift_m)
+    unmoved = box_of_shifted(fleet, frame, track, 0.0)
+    way = moved.centre_m - unmoved.centre_m
+    assert way @ ahead_of(unmoved) == pytest.approx(shift_m, abs=0.25 if shift_m else 1e-9)
+    assert np.linalg.norm(way) == pytest.approx(abs(way @ ahead_of(unmoved)), abs=1e-9)
+
+
+def test_a_box_moves_no_farther_than_its_object_drives_in_a_sweep(
+    fleet: Path, drive: Drive
+) -> None:
+    for least_mps, most_mps in ((5.0, 30.0), (0.0, 0.01)):
+        frame, track = seen_body(drive, least_mps=least_mps, most_mps=most_mps)
+        unmoved = box_of_shifted(fleet, frame, track, 0.0)
+        way = box_of_shifted(fleet, frame, track, 9.0).centre_m - unmoved.centre_m
+        sweep_m = 0.1 * np.hypot(*unmoved.velocity)
+        assert np.linalg.norm(way) == pytest.approx(sweep_m, abs=0.05)
+
+
+def seen_body(drive: Drive, *, least_mps: float, most_mps: float) -> tuple[DriveFrame, int]:
+    """Return a frame and an object in it with many points and a speed in this range."""
+    return next(
+        (frame, track)
+        for frame in drive.frames
+        for track, body in frame.bodies.items()
+        if least_mps <= np.hypot(*body.velocity) <= most_mps and (frame.track == track).sum() >= 40
+    )
 
 
 def test_planted_failures_are_missing_boxes_and_invented_velocities(drive: Drive) -> None:

@@ -2,7 +2,7 @@
 
 import csv
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Final
@@ -18,6 +18,12 @@ from workers.lab.evaluation.truth.truth import LogTruth
 from workers.lab.simulation.faults.detected_boxes import Body
 from workers.lab.simulation.models.kinds import MOVABLE
 from workers.points.se3 import inverse
+
+_ENDS: Final = (0.02, 0.98)
+"""Quantiles of an object's points along its box that are its ends: a few points are not its own."""
+
+_LAG_S: Final = 0.1
+"""Truth's box is off by no more than its object drives in one sweep: this is the fault known."""
 
 _NEEDED: Final = ("x", "y", "z", "yaw", "length", "width", "height")
 
@@ -64,7 +70,9 @@ def boxes_of_frame(
     """Return the true boxes of the objects of a frame that have points, where its points are.
 
     Truth has a box where it was when the beam met it. A recorded cloud is not deskewed, so the box
-    is placed by the true pose at the median time of the object's points.
+    is placed by the true pose at the median time of the object's points. A box that lags behind a
+    fast object is moved along its heading onto the object's points, by no more than the object
+    drives in one sweep. The box of an object at rest stays where truth has it.
 
     Args:
         truth: Truth of the log.
@@ -84,9 +92,12 @@ def boxes_of_frame(
     for each in np.unique(track[track >= 0]).tolist():
         if each not in boxes:
             continue
-        met_ns = frame.stamp_ns + int(np.median(frame.offset_ns[track == each]))
+        mine = track == each
+        met_ns = frame.stamp_ns + int(np.median(frame.offset_ns[mine]))
         world_from_sensor = folder.poses.at(np.array([met_ns]))[0]
-        placed[each] = _in_odom(boxes[each], posed.odom_from_sensor @ inverse(world_from_sensor))
+        body = _in_odom(boxes[each], posed.odom_from_sensor @ inverse(world_from_sensor))
+        pose = posed.odom_from_sensor
+        placed[each] = _onto(body, frame.points_m[mine] @ pose[:3, :3].T + pose[:3, 3])
     return placed
 
 
@@ -125,6 +136,27 @@ def _in_odom(box: TrueBox, odom_from_world: Transform) -> Body:
         box.size_m,
         (turn @ box.velocity)[:2],
     )
+
+
+def _onto(body: Body, places_m: NDArray[np.float64]) -> Body:
+    """Move a box along its heading by the least way that brings its object's points inside.
+
+    Args:
+        body: The box.
+        places_m: (N, 3) points of its object, N >= 1, in the space of the box.
+
+    Returns:
+        The box, moved by no more than its object drives in one sweep.
+    """
+    ahead = np.array([np.cos(body.yaw_rad), np.sin(body.yaw_rad), 0.0])
+    low_m, high_m = np.quantile((places_m - body.centre_m) @ ahead, _ENDS)
+    half_m = float(body.size_m[0]) / 2
+    before_m, behind_m = max(0.0, high_m - half_m), max(0.0, -half_m - low_m)
+    if before_m and behind_m:  # longer than its box: no place contains it
+        return body
+    most_m = _LAG_S * float(np.hypot(*body.velocity))
+    moved_m = float(np.clip(before_m - behind_m, -most_m, most_m))
+    return replace(body, centre_m=body.centre_m + ahead * moved_m)
 
 
 @lru_cache(maxsize=4)
