@@ -176,8 +176,11 @@ class System:
 
 
 def workers_of(pool: int) -> list[int]:
-    """Children of the pool that run a worker, from the kernel's list."""
-    threads = Path(f"/proc/{pool}/task").iterdir()
+    """Children of the pool that run a worker, from the kernel's list; none when it has ended."""
+    try:
+        threads = list(Path(f"/proc/{pool}/task").iterdir())
+    except OSError:
+        return []
     children = [child for at in threads for child in _read(at / "children").split()]
     return sorted(
         int(pid) for pid in children if "spawn_main" in _read(Path(f"/proc/{pid}/cmdline"))
