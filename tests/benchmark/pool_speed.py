@@ -1,10 +1,13 @@
-"""Frames per second of a pool of Ray and of a local pool: `python -m …pool_speed LOG`.
+"""Frames per second of a pool of Ray and of a local pool.
+
+Run it with `python -m tests.benchmark.pool_speed LOG --copies 6 --workers 2 --repeats 2`.
 
 Each run serves a new state and starts a pool of workers on an empty bucket. Once the workers are
 ready, all logs appear in it at once. The time counts from there until every log is done.
 """
 
 import argparse
+import logging
 import shutil
 import socket
 import sys
@@ -17,6 +20,8 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
+
+import structlog
 
 from tests.integration.daemons import Daemon, System
 from tests.integration.ray_cluster import ray_nodes
@@ -59,6 +64,9 @@ def main() -> int:
     asked.add_argument("--workers", type=int, default=2, help="processes of each pool")
     asked.add_argument("--repeats", type=int, default=2, help="runs of each pool")
     how = asked.parse_args()
+    if not how.log.is_file():
+        asked.error(f"no such log: {how.log}")
+    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.ERROR))
     for _ in range(how.repeats):
         for pool in ("local", "ray"):
             speed = measure(pool, how.log, copies=how.copies, workers=how.workers)
