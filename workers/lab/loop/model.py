@@ -54,17 +54,23 @@ _STATIC, _DYNAMIC = 1, 2
 
 
 class StreetCount(BaseModel):
-    """Counts of pixels of one held-out street."""
+    """Pixels of one held-out street by their score: counts of equal steps, the lowest first.
+
+    The score is the log-odds that the pixel moves, in steps between `LOWEST` and `HIGHEST`.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     unknown: bool = Field(description="Whether the unknown road users may be on it.")
     rain: bool
-    hits: int = Field(description="Moving pixels of known classes that were found.")
-    misses: int
-    unknown_hits: int = Field(description="Moving pixels of the unknown classes that were found.")
-    unknown_misses: int
-    false_alarms: int = Field(description="Static pixels called moving.")
+    known_moving: tuple[int, ...] = Field(description="Moving pixels of known classes.")
+    unknown_moving: tuple[int, ...] = Field(description="Moving pixels of the unknown classes.")
+    static: tuple[int, ...] = Field(description="Static pixels.")
+
+
+STEPS: Final = 80
+LOWEST: Final = -10.0
+HIGHEST: Final = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,8 +156,8 @@ def load_model(folder: Path) -> LoadedWeights:
 
 
 def judge(model: LoadedWeights, held_out: Sequence[HeldOut]) -> list[StreetCount]:
-    """Count hits, misses and false alarms of a model on each held-out street."""
-    return [_count(each, _answers(model, each.images)) for each in held_out]
+    """Count the pixels of each held-out street by the score that a model gives them."""
+    return [_count(each, _scores(model, each.images)) for each in held_out]
 
 
 def _sets(made: Sequence[LearntImages], share: float) -> list[TrainingSet]:
@@ -185,9 +191,9 @@ def _schedule(steps: int, seed: int) -> TrainingSettings:
     )
 
 
-def _answers(model: LoadedWeights, images: TrainingImages) -> NDArray[np.bool_]:
-    """Return (F, H, W) pixels that a model calls moving."""
-    found = np.zeros(images.motion.shape, np.bool_)
+def _scores(model: LoadedWeights, images: TrainingImages) -> NDArray[np.float32]:
+    """Return (F, H, W) log-odds of a model that a pixel moves."""
+    found = np.zeros(images.motion.shape, np.float32)
     for number in range(len(found)):
         sample = Sample(
             images.channels[number].astype(np.float32),
@@ -196,19 +202,25 @@ def _answers(model: LoadedWeights, images: TrainingImages) -> NDArray[np.bool_]:
             images.motion[number],
         )
         shares = model.probabilities(network_input(sample, model.card.profile, model.card.channels))
-        found[number] = shares[1:].argmax(axis=0) + 1 == MOVING
+        static, moving = np.log(np.maximum(shares[[_STATIC, MOVING]], np.float32(1e-12)))
+        found[number] = moving - static
     return found
 
 
-def _count(held_out: HeldOut, found: NDArray[np.bool_]) -> StreetCount:
+def _count(held_out: HeldOut, scores: NDArray[np.float32]) -> StreetCount:
     moves = held_out.images.motion == _DYNAMIC
     unknown = np.isin(held_out.images.semantic, UNKNOWN)
     return StreetCount(
         unknown=held_out.unknown,
         rain=held_out.rain,
-        hits=int((moves & ~unknown & found).sum()),
-        misses=int((moves & ~unknown & ~found).sum()),
-        unknown_hits=int((moves & unknown & found).sum()),
-        unknown_misses=int((moves & unknown & ~found).sum()),
-        false_alarms=int(((held_out.images.motion == _STATIC) & found).sum()),
+        known_moving=_by_step(scores[moves & ~unknown]),
+        unknown_moving=_by_step(scores[moves & unknown]),
+        static=_by_step(scores[held_out.images.motion == _STATIC]),
     )
+
+
+def _by_step(scores: NDArray[np.float32]) -> tuple[int, ...]:
+    """Count (N,) scores by step; those outside count at the ends."""
+    place = np.floor((scores - LOWEST) * (STEPS / (HIGHEST - LOWEST))).astype(np.int64)
+    counts = np.bincount(np.clip(place, 0, STEPS - 1), minlength=STEPS)
+    return tuple(int(count) for count in counts)
