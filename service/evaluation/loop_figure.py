@@ -1,6 +1,6 @@
 """Curves of the loop, and the labelled scenes that a choice needs to reach the random one. Pure."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Final
 
@@ -13,8 +13,12 @@ from workers.lab.evaluation.failures.intervals import LEVEL, Interval
 from workers.lab.loop.model import StreetCount
 
 MEASURES: Final = ("moving", "unknown", "rain")
-"""Intersection over union: of all moving pixels; of those of the unknown classes, where pixels of
-known movers do not count; of all moving pixels on the streets with rain."""
+"""Share of pixels found, where `ALARMS` of the static ones are called moving: of all moving pixels;
+of those of the unknown classes; of all moving pixels on the streets with rain. So models are
+compared that are equally cautious, and false alarms elsewhere do not drown a rare class."""
+
+ALARMS: Final = 0.02
+"""Share of the static pixels that are called moving."""
 
 
 class LoopPoint(BaseModel):
@@ -40,8 +44,11 @@ class LoopRow(BaseModel):
     seeds: int
     scenes: float = Field(description="Labelled scenes, mean.")
     with_unknown: float = Field(description="Of these, with a mover of an unknown class, mean.")
-    iou: dict[str, float] = Field(description="By measure.")
+    found: dict[str, float] = Field(description="Share of the pixels, by measure.")
     interval: dict[str, Interval] = Field(description="95 %, bootstrap over seeds and streets.")
+    over_random: dict[str, Interval] = Field(
+        description="95 % of the difference to the random choice of equally many scenes, by draw."
+    )
 
 
 class LoopReach(BaseModel):
@@ -73,7 +80,7 @@ class LoopFigure(BaseModel):
 
 _Counts = NDArray[np.float64]
 _DRAWS: Final = 1000
-_SUMS: Final = ("hits", "misses", "unknown_hits", "unknown_misses", "false_alarms")
+_Measures = dict[str, float]
 
 
 def figure_of(points: Sequence[LoopPoint], *, fleet_scenes: int) -> LoopFigure:
@@ -100,10 +107,14 @@ def figure_of(points: Sequence[LoopPoint], *, fleet_scenes: int) -> LoopFigure:
         for _ in range(_DRAWS)
     ]
     everything = np.arange(len(seeds)), np.arange(len(rain))
+    measured = {
+        key: [_measures(each, rain, *draw) for draw in (everything, *draws)]
+        for key, each in counts.items()
+    }
     rows = []
-    for (order, budget), each in counts.items():
+    for (order, budget), (value, *drawn) in measured.items():
         mine = [by_key[order, budget, seed] for seed in seeds]
-        drawn = [_measures(each, rain, *draw) for draw in draws]
+        chance = measured.get((RANDOM, budget), [])[1:] if order != RANDOM else []
         rows.append(
             LoopRow(
                 order=order,
@@ -111,17 +122,20 @@ def figure_of(points: Sequence[LoopPoint], *, fleet_scenes: int) -> LoopFigure:
                 seeds=len(seeds),
                 scenes=float(np.mean([point.scenes for point in mine])),
                 with_unknown=round(float(np.mean([point.with_unknown for point in mine])), 2),
-                iou={k: round(v, 4) for k, v in _measures(each, rain, *everything).items()},
+                found={name: round(value[name], 4) for name in MEASURES},
                 interval={name: _middle([one[name] for one in drawn]) for name in MEASURES},
+                over_random={
+                    name: _middle([a[name] - b[name] for a, b in zip(drawn, chance, strict=True)])
+                    for name in (MEASURES if chance else ())
+                },
             )
         )
     reach = [
-        _reach(order, measure, counts, budgets, lambda each, draw: _measures(each, rain, *draw),
-               everything, draws)
+        _reach(order, measure, measured, budgets)
         for measure in MEASURES
         for order in orders
         if order != RANDOM and RANDOM in orders
-    ]  # fmt: skip
+    ]
     return LoopFigure(
         fleet_scenes=fleet_scenes, seeds=seeds, budgets=budgets, rows=tuple(rows),
         reach=tuple(reach),
@@ -144,48 +158,57 @@ def scenes_to_reach(curve: Sequence[tuple[int, float]], target: float) -> float 
 
 
 def _counts(point: LoopPoint) -> _Counts:
+    """Return (H, 3, B) counts of the streets: known and unknown movers, static pixels."""
     return np.array(
-        [[getattr(street, name) for name in _SUMS] for street in point.streets], np.float64
+        [[each.known_moving, each.unknown_moving, each.static] for each in point.streets],
+        np.float64,
     )
 
 
 def _measures(
     counts: _Counts, rain: NDArray[np.bool_], seeds: NDArray[np.int64], streets: NDArray[np.int64]
-) -> dict[str, float]:
-    """Return the mean over seeds of each measure, from (S, H, 5) counts."""
+) -> _Measures:
+    """Return the mean over seeds of each measure, from (S, H, 3, B) counts."""
     drawn, wet = counts[seeds][:, streets], rain[streets]
+    whole, in_rain = drawn.sum(axis=1), drawn[:, wet].sum(axis=1)
     return {
-        "moving": _iou(drawn.sum(axis=1), known=True),
-        "unknown": _iou(drawn.sum(axis=1), known=False),
-        "rain": _iou(drawn[:, wet].sum(axis=1), known=True),
+        "moving": _found(whole[:, 0] + whole[:, 1], whole[:, 2]),
+        "unknown": _found(whole[:, 1], whole[:, 2]),
+        "rain": _found(in_rain[:, 0] + in_rain[:, 1], in_rain[:, 2]),
     }
 
 
-def _iou(sums: _Counts, *, known: bool) -> float:
-    hits, misses, unknown_hits, unknown_misses, alarms = sums.T
-    found, lost = (hits, misses) if known else (0.0, 0.0)
-    whole = found + lost + unknown_hits + unknown_misses + alarms
-    return float(np.mean((found + unknown_hits) / np.maximum(whole, 1.0)))
+def _found(moving: _Counts, static: _Counts) -> float:
+    """Return the share of moving pixels above the score of which `ALARMS` static ones are.
+
+    Args:
+        moving: (S, B) counts by score, rising.
+        static: (S, B) the same of static pixels.
+    """
+    shares = []
+    for mine, others in zip(moving, static, strict=True):
+        above = np.concatenate([[0.0], mine[::-1].cumsum()]) / max(mine.sum(), 1.0)
+        alarms = np.concatenate([[0.0], others[::-1].cumsum()]) / max(others.sum(), 1.0)
+        shares.append(np.interp(ALARMS, alarms, above))
+    return float(np.mean(shares))
 
 
 def _reach(
     order: str,
     measure: str,
-    counts: Mapping[tuple[str, int], _Counts],
+    measured: Mapping[tuple[str, int], Sequence[_Measures]],
     budgets: Sequence[int],
-    measured: Callable[[_Counts, tuple[NDArray[np.int64], NDArray[np.int64]]], dict[str, float]],
-    everything: tuple[NDArray[np.int64], NDArray[np.int64]],
-    draws: Sequence[tuple[NDArray[np.int64], NDArray[np.int64]]],
 ) -> LoopReach:
-    def found(draw: tuple[NDArray[np.int64], NDArray[np.int64]]) -> tuple[float, float | None]:
-        target = measured(counts[RANDOM, budgets[-1]], draw)[measure]
-        curve = [(0, measured(counts["", 0], draw)[measure])]
-        curve += [(b, measured(counts[order, b], draw)[measure]) for b in budgets]
+    def found(draw: int) -> tuple[float, float | None]:
+        target = measured[RANDOM, budgets[-1]][draw][measure]
+        curve = [(0, measured["", 0][draw][measure])]
+        curve += [(b, measured[order, b][draw][measure]) for b in budgets]
         return target, scenes_to_reach(curve, target)
 
-    target, scenes = found(everything)
+    target, scenes = found(0)
     shares = sorted(
-        float("inf") if one is None else one / budgets[-1] for _, one in map(found, draws)
+        float("inf") if one is None else one / budgets[-1]
+        for _, one in map(found, range(1, _DRAWS + 1))
     )
     low, high = (shares[round(q * (len(shares) - 1))] for q in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
     return LoopReach(

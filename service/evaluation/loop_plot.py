@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Final
 
-from service.evaluation.loop_figure import LoopFigure
+from service.evaluation.loop_figure import ALARMS, LoopFigure
 from workers.lab.plots import load_pyplot, save_figure
 
 _TITLES: Final = {
@@ -15,7 +15,7 @@ _COLOURS: Final = ("#d55e00", "#0072b2", "#555555", "#009e73", "#cc79a7")
 
 
 def draw_curves(path: Path, figure: LoopFigure) -> None:
-    """Draw the intersection over union against the labelled scenes, with 95 % bands."""
+    """Draw the share of pixels found against the labelled scenes, with 95 % bands."""
     pyplot = load_pyplot()
     drawn, axes = pyplot.subplots(1, 3, figsize=(13, 4.2), constrained_layout=True)
     start = [row for row in figure.rows if not row.order]
@@ -24,7 +24,7 @@ def draw_curves(path: Path, figure: LoopFigure) -> None:
         for order, colour in zip(orders, _COLOURS, strict=False):
             rows = [*start, *(row for row in figure.rows if row.order == order)]
             budgets = [row.budget for row in rows]
-            axis.plot(budgets, [r.iou[measure] for r in rows], "o-", color=colour, label=order)
+            axis.plot(budgets, [r.found[measure] for r in rows], "o-", color=colour, label=order)
             axis.fill_between(
                 budgets,
                 [row.interval[measure][0] for row in rows],
@@ -34,6 +34,6 @@ def draw_curves(path: Path, figure: LoopFigure) -> None:
             )
         axis.set_title(title)
         axis.set_xlabel(f"labelled scenes of {figure.fleet_scenes}")
-        axis.set_ylabel("intersection over union")
+        axis.set_ylabel(f"share found at {ALARMS:.0%} false alarms")
     axes[0].legend(frameon=False)
     save_figure(drawn, path)

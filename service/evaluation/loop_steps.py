@@ -45,7 +45,7 @@ class LoopSettings:
     taught: int = 24
     held_out: int = 24
     steps: int = 1200
-    more_steps: int = 160
+    more_steps: int = 500
     budgets: tuple[int, ...] = (1, 2, 4, 8, 16)
     fleet_seed: int = 1
 

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from service.cli.main import main
@@ -18,7 +19,15 @@ from service.evaluation.loop_orders import (
 )
 from service.evaluation.mined_fleet import FleetScene, fleet_of
 from tests.unit.service.test_bench_selection import mined
-from workers.lab.loop.model import StreetCount
+from workers.lab.loop.model import (
+    STEPS,
+    StreetCount,
+    held_out_street,
+    judge,
+    sets_of,
+    taught_street,
+    teach,
+)
 from workers.lab.loop.streets import FLEET, TAUGHT, UNKNOWN, World, draw_street
 from workers.lab.simulation.models.kinds import StreetClass
 
@@ -74,25 +83,31 @@ def test_the_scenes_to_reach_a_value_are_interpolated() -> None:
     assert scenes_to_reach(curve, 0.7) is None
 
 
-def point(order: str, budget: int, seed: int, unknown_hits: int) -> LoopPoint:
-    """A point with two held-out streets, the second in rain, in which 10 of 20 are found."""
+def scored(high: int, low: int) -> tuple[int, ...]:
+    """Counts of pixels of which some have a high score, and some a low one."""
+    counts = [0] * STEPS
+    counts[10], counts[-10] = low, high
+    return tuple(counts)
+
+
+def point(order: str, budget: int, seed: int, unknown_high: int) -> LoopPoint:
+    """A point with two held-out streets, the second in rain.
+
+    A fiftieth of the static pixels of either street has a score as high as the movers found.
+    """
     count = StreetCount(
         unknown=True,
         rain=False,
-        hits=50,
-        misses=0,
-        unknown_hits=unknown_hits,
-        unknown_misses=100 - unknown_hits,
-        false_alarms=50,
+        known_moving=scored(50, 0),
+        unknown_moving=scored(unknown_high, 100 - unknown_high),
+        static=scored(20, 980),
     )
     wet = StreetCount(
         unknown=False,
         rain=True,
-        hits=10,
-        misses=10,
-        unknown_hits=0,
-        unknown_misses=0,
-        false_alarms=0,
+        known_moving=scored(10, 10),
+        unknown_moving=scored(0, 0),
+        static=scored(4, 196),
     )
     return LoopPoint(
         order=order, budget=budget, seed=seed, scenes=budget, with_unknown=0, streets=(count, wet)
@@ -108,18 +123,73 @@ def test_curves_and_figure_follow_from_the_counts() -> None:
     rows = {(row.order, row.budget): row for row in figure.rows}
     assert figure.seeds == (1, 2)
     assert figure.budgets == (4, 8)
-    assert rows["", 0].iou["unknown"] == 0.0
-    assert rows[BY_SCORE, 4].iou["unknown"] == pytest.approx(80 / 150, abs=1e-4)
-    assert rows[BY_SCORE, 4].iou["moving"] == pytest.approx(140 / 220, abs=1e-4)
-    assert rows[BY_SCORE, 4].iou["rain"] == 0.5
+    assert rows["", 0].found["unknown"] == 0.0
+    assert rows[BY_SCORE, 4].found["unknown"] == pytest.approx(0.8)
+    assert rows[BY_SCORE, 4].found["moving"] == pytest.approx(140 / 170, abs=1e-4)
+    assert rows[BY_SCORE, 4].found["rain"] == 0.5
     reached = {(each.order, each.measure): each for each in figure.reach}
     assert (RANDOM, "unknown") not in reached
     found = reached[BY_SCORE, "unknown"]
-    assert found.target == pytest.approx(40 / 150, abs=1e-4)
+    assert found.target == pytest.approx(0.4)
     assert found.scenes == pytest.approx(2.0)
     assert found.share == pytest.approx(0.25)
     low, high = rows[BY_SCORE, 4].interval["moving"]
-    assert low <= 0.5 < 140 / 220 <= high + 1e-4
+    assert low <= 0.5 < 140 / 170 <= high + 1e-4
+
+
+def test_the_difference_to_random_is_taken_draw_by_draw() -> None:
+    points = [point("", 0, 1, 0), point(RANDOM, 4, 1, 10), point(BY_SCORE, 4, 1, 80)]
+    rows = {row.order: row for row in figure_of(points, fleet_scenes=20).rows}
+    assert rows[""].over_random == {}
+    assert rows[RANDOM].over_random == {}
+    assert rows[BY_SCORE].over_random["rain"] == (0.0, 0.0)
+    low, high = rows[BY_SCORE].over_random["unknown"]
+    assert (
+        low >= 0.0
+    )  # of draws without the only street that has the unknown classes: no difference
+    assert high == pytest.approx(0.7)
+
+
+def test_equally_cautious_models_are_compared() -> None:
+    """A model that gives every pixel a higher score finds no more than before."""
+
+    def found(shift: int) -> float:
+        def moved(counts: tuple[int, ...]) -> tuple[int, ...]:
+            return counts[-shift:] + counts[:-shift] if shift else counts
+
+        before = point("", 0, 1, 40)
+        streets = tuple(
+            street.model_copy(
+                update={
+                    name: moved(getattr(street, name))
+                    for name in ("known_moving", "unknown_moving", "static")
+                }
+            )
+            for street in before.streets
+        )
+        [row] = figure_of([before.model_copy(update={"streets": streets})], fleet_scenes=2).rows
+        return row.found["moving"]
+
+    assert found(0) == found(9) == pytest.approx(100 / 170, abs=1e-4)
+
+
+def test_each_image_is_drawn_equally_often(tmp_path: Path) -> None:
+    made = taught_street(tmp_path / "street", 0, seed=1)
+    few = [each.part(slice(1)) for each in made]
+    sets = sets_of([*made, *few])
+    assert {each.weight / len(each.images.motion) for each in sets} == {1.0}
+
+
+def test_each_pixel_of_a_street_counts_once_when_a_model_is_judged(tmp_path: Path) -> None:
+    taught = taught_street(tmp_path / "street", 0, seed=1)
+    held_out = held_out_street(tmp_path / "held-out", 0, seed=1)
+    model = teach(taught, [], steps=2, seed=1, out=tmp_path / "first")
+    [count] = judge(model, [held_out])
+    motion = held_out.images.motion
+    moving = np.add(count.known_moving, count.unknown_moving)
+    assert len(count.static) == STEPS
+    assert moving.sum() == (motion == 2).sum()
+    assert sum(count.static) == (motion == 1).sum() > 0
 
 
 def test_the_first_world_lacks_what_the_others_have() -> None:

@@ -49,22 +49,37 @@ PAST: Final = 6
 EVERY: Final = 2
 """Interval of the frames of a stretch that become images; neighbours show almost the same."""
 
+BATCH: Final = 8
+"""Windows of a step: so small a network takes hardly longer for eight than for two."""
+
+PEAK_RATE: Final = 6e-3
+"""Highest learning rate of the first model."""
+
+PEAK_RATE_ON: Final = 2e-3
+"""Highest learning rate when a model is taught on: the first one's makes it forget."""
+
 _BEGINS_S: Final = 2.0
 _STATIC, _DYNAMIC = 1, 2
 
 
 class StreetCount(BaseModel):
-    """Counts of pixels of one held-out street."""
+    """Pixels of one held-out street by their score: counts of equal steps, the lowest first.
+
+    The score is the log-odds that the pixel moves, in steps between `LOWEST` and `HIGHEST`.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     unknown: bool = Field(description="Whether the unknown road users may be on it.")
     rain: bool
-    hits: int = Field(description="Moving pixels of known classes that were found.")
-    misses: int
-    unknown_hits: int = Field(description="Moving pixels of the unknown classes that were found.")
-    unknown_misses: int
-    false_alarms: int = Field(description="Static pixels called moving.")
+    known_moving: tuple[int, ...] = Field(description="Moving pixels of known classes.")
+    unknown_moving: tuple[int, ...] = Field(description="Moving pixels of the unknown classes.")
+    static: tuple[int, ...] = Field(description="Static pixels.")
+
+
+STEPS: Final = 80
+LOWEST: Final = -10.0
+HIGHEST: Final = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,8 +135,8 @@ def teach(
 ) -> LoadedWeights:
     """Teach a model on streets, and with an initial one on labelled scenes as well.
 
-    Half the windows are of the labelled scenes, if there are any; all else is the same for every
-    choice: start, steps, rates and the streets that are replayed.
+    Every image is drawn equally often, so that a few labelled ones are not learnt by heart. All
+    else is the same for every choice: start, steps, rates and the streets that are replayed.
 
     Args:
         taught: Images of the streets of the first model.
@@ -135,10 +150,15 @@ def teach(
         aside = out.with_name(f".{out.name}.part")
         rmtree(aside, ignore_errors=True)
         aside.mkdir(parents=True)
-        sets = _sets(taught, 0.5 if labelled else 1.0) + _sets(labelled, 0.5)
+        sets = sets_of([*taught, *labelled])
         card = _card(sets) if initial is None else initial.card.model_copy(update={"scores": {}})
         train(
-            sets, {}, card, _schedule(steps, seed), out=aside / "lmnet.safetensors", initial=initial
+            sets,
+            {},
+            card,
+            _schedule(steps, seed, PEAK_RATE if initial is None else PEAK_RATE_ON),
+            out=aside / "lmnet.safetensors",
+            initial=initial,
         )
         aside.rename(out)
     return load_model(out)
@@ -150,13 +170,13 @@ def load_model(folder: Path) -> LoadedWeights:
 
 
 def judge(model: LoadedWeights, held_out: Sequence[HeldOut]) -> list[StreetCount]:
-    """Count hits, misses and false alarms of a model on each held-out street."""
-    return [_count(each, _answers(model, each.images)) for each in held_out]
+    """Count the pixels of each held-out street by the score that a model gives them."""
+    return [_count(each, _scores(model, each.images)) for each in held_out]
 
 
-def _sets(made: Sequence[LearntImages], share: float) -> list[TrainingSet]:
-    total = sum(map(len, made))
-    return [TrainingSet(each.images, share * len(each) / total, False, PROFILE) for each in made]
+def sets_of(made: Sequence[LearntImages]) -> list[TrainingSet]:
+    """Return training sets of which each image is drawn equally often, of a street or a scene."""
+    return [TrainingSet(each.images, len(each), False, PROFILE) for each in made]
 
 
 def _card(sets: Sequence[TrainingSet]) -> WeightsCard:
@@ -172,11 +192,12 @@ def _card(sets: Sequence[TrainingSet]) -> WeightsCard:
     )
 
 
-def _schedule(steps: int, seed: int) -> TrainingSettings:
+def _schedule(steps: int, seed: int, peak_rate: float) -> TrainingSettings:
     return TrainingSettings(
         steps=steps,
+        batch=BATCH,
         columns=192,
-        peak_rate=6e-3,
+        peak_rate=peak_rate,
         fixed_norms=0.4,
         norm_momentum=0.1,
         lovasz_every=4,
@@ -185,9 +206,9 @@ def _schedule(steps: int, seed: int) -> TrainingSettings:
     )
 
 
-def _answers(model: LoadedWeights, images: TrainingImages) -> NDArray[np.bool_]:
-    """Return (F, H, W) pixels that a model calls moving."""
-    found = np.zeros(images.motion.shape, np.bool_)
+def _scores(model: LoadedWeights, images: TrainingImages) -> NDArray[np.float32]:
+    """Return (F, H, W) log-odds of a model that a pixel moves."""
+    found = np.zeros(images.motion.shape, np.float32)
     for number in range(len(found)):
         sample = Sample(
             images.channels[number].astype(np.float32),
@@ -196,19 +217,25 @@ def _answers(model: LoadedWeights, images: TrainingImages) -> NDArray[np.bool_]:
             images.motion[number],
         )
         shares = model.probabilities(network_input(sample, model.card.profile, model.card.channels))
-        found[number] = shares[1:].argmax(axis=0) + 1 == MOVING
+        static, moving = np.log(np.maximum(shares[[_STATIC, MOVING]], np.float32(1e-12)))
+        found[number] = moving - static
     return found
 
 
-def _count(held_out: HeldOut, found: NDArray[np.bool_]) -> StreetCount:
+def _count(held_out: HeldOut, scores: NDArray[np.float32]) -> StreetCount:
     moves = held_out.images.motion == _DYNAMIC
     unknown = np.isin(held_out.images.semantic, UNKNOWN)
     return StreetCount(
         unknown=held_out.unknown,
         rain=held_out.rain,
-        hits=int((moves & ~unknown & found).sum()),
-        misses=int((moves & ~unknown & ~found).sum()),
-        unknown_hits=int((moves & unknown & found).sum()),
-        unknown_misses=int((moves & unknown & ~found).sum()),
-        false_alarms=int(((held_out.images.motion == _STATIC) & found).sum()),
+        known_moving=_by_step(scores[moves & ~unknown]),
+        unknown_moving=_by_step(scores[moves & unknown]),
+        static=_by_step(scores[held_out.images.motion == _STATIC]),
     )
+
+
+def _by_step(scores: NDArray[np.float32]) -> tuple[int, ...]:
+    """Count (N,) scores by step; those outside count at the ends."""
+    place = np.floor((scores - LOWEST) * (STEPS / (HIGHEST - LOWEST))).astype(np.int64)
+    counts = np.bincount(np.clip(place, 0, STEPS - 1), minlength=STEPS)
+    return tuple(int(count) for count in counts)
