@@ -18,6 +18,7 @@ NO_NUMBERS: Final = {
     "onnxruntime": "runs own models only, and is not there without them",
     "pyarrow": "reads rows of boxes as written, or fails",
     "pydantic": "checks settings and records",
+    "pydantic_core": "checks settings and records",
     "safetensors": "reads weights, whose bytes are digested",
     "structlog": "logs",
     "zstandard": "unpacks bytes, or fails",
