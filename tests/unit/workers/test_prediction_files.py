@@ -163,6 +163,29 @@ def test_parquet_without_a_column_ends_in_a_sentence(tmp_path: Path) -> None:
         read(write(clouds()), predictions=str(tmp_path))
 
 
+def test_stamps_that_are_no_whole_numbers_end_in_a_sentence(tmp_path: Path) -> None:
+    file = tmp_path / "drive.parquet"
+    parquet_of_boxes(file)
+    table = parquet.read_table(file)
+    for kind in (pa.float64(), pa.timestamp("ns")):
+        stamps = table["stamp_ns"].cast(kind, safe=False)
+        parquet.write_table(table.set_column(0, "stamp_ns", stamps), file)
+        with pytest.raises(LogUnusableError, match="stamp_ns is of the type .* as int64"):
+            read(write(clouds()), predictions=str(tmp_path))
+
+
+def test_an_answer_in_two_frames_is_refused_not_halved(tmp_path: Path) -> None:
+    file = tmp_path / "drive.parquet"
+    parquet_of_boxes(file, frame_id="base")
+    table = parquet.read_table(file)
+    other = table.drop_columns("frame_id").append_column(
+        "frame_id", pa.array([""] * table.num_rows)
+    )
+    parquet.write_table(pa.concat_tables([table, other.select(table.column_names)]), file)
+    with pytest.raises(LogUnusableError, match="boxes in several frames, the first .'', 'base'."):
+        read(write(clouds()), predictions=str(tmp_path))
+
+
 def test_without_pyarrow_the_extra_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -5,6 +5,7 @@ from typing import Any, Final
 
 from schemas.predicted_boxes import MAX_BOXES
 from schemas.transport.bucket import Bucket
+from schemas.visible import visible
 from workers.errors import LogUnusableError
 from workers.ingest.boxes.stated import StatedBox, StatedBoxes, gather
 from workers.ingest.limits import MIB
@@ -54,6 +55,12 @@ def read_box_file(bucket: Bucket, key: str, *, start_ns: int, end_ns: int) -> li
                 f"the Parquet of boxes lacks the columns {', '.join(missing)}: it needs "
                 f"{', '.join(NEEDED)} ({key})"
             )
+        kind = file.schema_arrow.field("stamp_ns").type
+        if not pa.types.is_integer(kind):
+            raise LogUnusableError(
+                f"stamp_ns is of the type {kind}: it needs whole nanoseconds of the log's clock, "
+                f"as int64 ({key})"
+            )
         columns = [name for name in (*NEEDED, *OPTIONAL) if name in names]
         within = [("stamp_ns", ">=", start_ns), ("stamp_ns", "<", end_ns)]
         table = parquet.read_table(pa.BufferReader(data), columns=columns, filters=within)
@@ -69,16 +76,27 @@ def read_box_file(bucket: Bucket, key: str, *, start_ns: int, end_ns: int) -> li
 
 
 def _answers(rows: list[dict[str, Any]], key: str) -> list[StatedBoxes]:
-    grouped: dict[tuple[int, str], list[StatedBox]] = {}
+    grouped: dict[int, list[StatedBox]] = {}
+    frames: dict[int, set[str]] = {}
     for row in rows:
-        where = (int(row["stamp_ns"]), str(row.get("frame_id") or ""))
-        grouped.setdefault(where, []).append(_box(row))
-    if crowded := [stamp_ns for (stamp_ns, _), boxes in grouped.items() if len(boxes) > MAX_BOXES]:
+        stamp_ns = int(row["stamp_ns"])
+        grouped.setdefault(stamp_ns, []).append(_box(row))
+        frames.setdefault(stamp_ns, set()).add(str(row.get("frame_id") or ""))
+    if mixed := [stamp_ns for stamp_ns, names in frames.items() if len(names) > 1]:
+        names = ", ".join(map(repr, sorted(frames[mixed[0]])))
+        raise LogUnusableError(
+            f"{len(mixed)} instants have boxes in several frames, the first ({visible(names)}) at "
+            f"{mixed[0]} ns: all rows of a stamp_ns are one answer, in one frame_id ({key})"
+        )
+    if crowded := [stamp_ns for stamp_ns, boxes in grouped.items() if len(boxes) > MAX_BOXES]:
         raise LogUnusableError(
             f"{len(crowded)} instants have more than {MAX_BOXES} boxes, the first at "
             f"{crowded[0]} ns ({key})"
         )
-    return [gather(stamp_ns, frame, boxes) for (stamp_ns, frame), boxes in grouped.items()]
+    return [
+        gather(stamp_ns, next(iter(frames[stamp_ns])), boxes)
+        for stamp_ns, boxes in grouped.items()
+    ]
 
 
 def _box(row: dict[str, Any]) -> StatedBox:
