@@ -111,8 +111,13 @@ def test_finished_labels_become_verdicts_once_under_the_name_that_is_given(
 
     assert "verdicts of" not in imported("a")
     assert verdicts() == []
-    assert "2 verdicts of lab on tracks that are a reason" in imported("b", "--reviewer", "lab")
-    imported("c", "--reviewer", "lab")
+    untouched = imported("u", "--reviewer", "lab")
+    assert "no verdicts of 2 scenes in which no label changed: give --confirmed" in untouched
+    assert "0 verdicts of lab" in untouched
+    assert verdicts() == []
+    lab = ("--reviewer", "lab", "--confirmed")
+    assert "2 verdicts of lab on tracks that are a reason" in imported("b", *lab)
+    imported("c", *lab)
     rows = verdicts()
     assert {row["scene_id"] for row in rows} == {record(0).scene_id, record(1).scene_id}
     assert [(row["track_id"], row["verdict"], row["reviewer"]) for row in rows] == [

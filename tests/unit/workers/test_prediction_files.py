@@ -170,7 +170,7 @@ def test_stamps_that_are_no_whole_numbers_end_in_a_sentence(tmp_path: Path) -> N
     for kind in (pa.float64(), pa.timestamp("ns")):
         stamps = table["stamp_ns"].cast(kind, safe=False)
         parquet.write_table(table.set_column(0, "stamp_ns", stamps), file)
-        with pytest.raises(LogUnusableError, match="stamp_ns is of the type .* as int64"):
+        with pytest.raises(LogUnusableError, match=r"stamp_ns is of the type .* as int64"):
             read(write(clouds()), predictions=str(tmp_path))
 
 
@@ -182,7 +182,7 @@ def test_an_answer_in_two_frames_is_refused_not_halved(tmp_path: Path) -> None:
         "frame_id", pa.array([""] * table.num_rows)
     )
     parquet.write_table(pa.concat_tables([table, other.select(table.column_names)]), file)
-    with pytest.raises(LogUnusableError, match="boxes in several frames, the first .'', 'base'."):
+    with pytest.raises(LogUnusableError, match=r"boxes in several frames, the first \(''"):
         read(write(clouds()), predictions=str(tmp_path))
 
 

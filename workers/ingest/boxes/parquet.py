@@ -94,8 +94,7 @@ def _answers(rows: list[dict[str, Any]], key: str) -> list[StatedBoxes]:
             f"{crowded[0]} ns ({key})"
         )
     return [
-        gather(stamp_ns, next(iter(frames[stamp_ns])), boxes)
-        for stamp_ns, boxes in grouped.items()
+        gather(stamp_ns, next(iter(frames[stamp_ns])), boxes) for stamp_ns, boxes in grouped.items()
     ]
 
 
