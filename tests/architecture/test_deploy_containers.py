@@ -213,16 +213,27 @@ def test_every_setting_that_is_named_exists(path: str) -> None:
     assert settings_named(text) <= known
 
 
+LOCKS = "/var/lib/counterpoint/locks"
+
+
 def test_compose_makes_an_authority_with_a_certificate_for_each_process() -> None:
-    (script,) = COMPOSE["services"]["authority"]["command"]
-    certs, acl = (shlex.split(each)[1:] for each in script.split(";"))
-    check_command(certs)
-    check_command(acl)
+    authority = COMPOSE["services"]["authority"]
+    certs, acl = (shlex.split(each) for each in authority["command"][0].split(";")[:2])
+    check_command(certs[1:])
+    check_command(acl[1:])
+    copies = authority["command"][0].split(";", 2)[2]
     for name in OURS:
-        environment = COMPOSE["services"][name]["environment"]
-        assert environment["COUNTERPOINT_TLS_CERTIFICATE"] == f"{certs[1]}/{name}.pem"
+        service = COMPOSE["services"][name]
+        (locks,) = [mount for mount in service["volumes"] if "/locks" in mount]
+        assert locks == f"{name}-locks:{LOCKS}:ro"
+        assert f"{name}-locks:{LOCKS}/{name}" in authority["volumes"]
+        assert not any(mount.startswith("authority") for mount in service["volumes"])
+        assert service["environment"]["COUNTERPOINT_TLS_CERTIFICATE"] == f"{LOCKS}/{name}.pem"
         assert name in certs
-    assert COMPOSE["services"]["router"]["environment"]["COUNTERPOINT_ZENOH_CONFIG"] == acl[-1]
+        assert re.search(rf"\b{name}\b", copies)
+    assert acl[-1] == f"{LOCKS}/router/rules.json"
+    rules = COMPOSE["services"]["router"]["environment"]["COUNTERPOINT_ZENOH_CONFIG"]
+    assert rules == f"{LOCKS}/rules.json"
 
 
 def test_prometheus_scrapes_what_compose_starts() -> None:

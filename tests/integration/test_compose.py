@@ -2,6 +2,7 @@
 
 import urllib.request
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -45,10 +46,14 @@ def test_the_runbook_of_compose_leads_to_scenes_that_outlive_kills_and_new_conta
     assert system.records() == both
 
 
-def test_every_part_runs_as_its_user_on_a_root_that_it_cannot_change(system: Composed) -> None:
+def test_every_part_is_bound_to_its_user_its_own_key_and_a_root_that_it_cannot_change(
+    system: Composed,
+) -> None:
     system.start()
     for part in PARTS:
         shell = ("exec", "--no-TTY", part, "sh", "-c")
+        keys = system.compose(*shell, "find /var/lib/counterpoint -name '*.key'").split()
+        assert [Path(key).name for key in keys] == [f"{part}.key"]
         assert system.compose(*shell, "id --user").strip() == "10001"
         with pytest.raises(AssertionError, match="Read-only file system"):
             system.compose(*shell, "touch /opt/counterpoint/changed")
