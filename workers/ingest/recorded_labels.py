@@ -97,6 +97,9 @@ def find_labels(
     return None
 
 
+_WHERE: Final = f"the metadata {CLASSES_RECORD}, or classes.json next to the files"
+
+
 @lru_cache(maxsize=8)
 def recorded_classes(classes_json: str) -> Mapping[int, RecordedClass]:
     """Read the classes of the model's class ids.
@@ -116,12 +119,12 @@ def recorded_classes(classes_json: str) -> Mapping[int, RecordedClass]:
             class_id = int(key)
         except (ValueError, TypeError, LookupError, RecursionError) as error:
             raise LogUnusableError(
-                f"cannot read class {key!r} of metadata {CLASSES_RECORD}: {text!r} must be JSON "
+                f"cannot read class {key!r} of {_WHERE}: {text!r} must be JSON "
                 f"with name, movable and moving, its key a number ({type(error).__name__}: {error})"
             ) from error
         if not (isinstance(name, str) and isinstance(movable, bool) and isinstance(moving, bool)):
             raise LogUnusableError(
-                f"cannot read class {key!r} of metadata {CLASSES_RECORD}: name must be text, "
+                f"cannot read class {key!r} of {_WHERE}: name must be text, "
                 f"movable and moving true or false, got {text!r}"
             )
         name = visible(name, limit=MAX_NAME)

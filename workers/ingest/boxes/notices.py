@@ -86,7 +86,7 @@ class BoxNotices:
             yield (
                 f"no mapping knows {len(self._unmapped)} classes of boxes: {names}"
                 f"{f' and {more} more' if more > 0 else ''}; they count as movable: map them in "
-                f"the metadata counterpoint.classes {where}"
+                f"the metadata counterpoint.classes, or in classes.json next to the files {where}"
             )
         if self._not_finite:
             yield (
