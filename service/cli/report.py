@@ -121,8 +121,12 @@ def say_open(scores: Sequence[SceneScore]) -> None:
         for each in scores
     )
     stated = [each.supervised for each in scores if each.supervised]
-    for reason in dict.fromkeys(each.reason for each in stated if each.reason):
-        remark(f"{reason}; {labelled / points:.0%} of the returns can contradict")
+    share = f"{labelled / points:.0%} of the returns can contradict"
+    reasons = list(dict.fromkeys(each.reason for each in stated if each.reason))
+    for reason in reasons:
+        remark(f"{reason}; {share}")
+    if stated and not reasons:
+        remark(share)
     frames = sum(each.frames for each in scores) or 1
     unanswered = sum(
         each.frames * each.supervised.unanswered_share for each in scores if each.supervised

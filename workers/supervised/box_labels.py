@@ -93,13 +93,11 @@ class BoxLabels:
         class_id[found] = np.array([self._class(name) for name in boxes.class_name], np.int16)[box]
         labels[~frame.valid_mask] = MotionLabel.UNKNOWN
         confidence[labels == MotionLabel.UNKNOWN] = 0
-        told = (labels_of_box != MotionLabel.UNKNOWN).any() or any(boxes.track_id)
-        said = bool(told) or not len(boxes)
         return FrameLabels(
             labels=labels,
             confidence=confidence,
             class_id=class_id,
-            health=FrameHealth(reason="" if said else NO_MOTION),
+            health=FrameHealth(reason="" if _says_motion(boxes) else NO_MOTION),
         )
 
     def _class(self, name: str) -> int:
@@ -116,6 +114,13 @@ class BoxLabels:
         if not 0.0 < step_s <= _MAX_STEP_S:
             return np.zeros(6)
         return twist(inverse(before.odom_from_sensor) @ posed.odom_from_sensor) / step_s
+
+
+def _says_motion(boxes: RecordedBoxes) -> bool:
+    """Return whether an answer states the motion of any box that may move, or has none such."""
+    stated = np.isfinite(boxes.velocity_m_per_s).all(axis=1)
+    told = stated.any() or any(boxes.track_id) or any(boxes.moving)
+    return bool(told) or all(movable is False for movable in boxes.movable)
 
 
 def _aligned(

@@ -1,5 +1,6 @@
 """Labels of points by boxes: in, next to, below and outside; motion by velocity or path."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -95,6 +96,13 @@ def test_without_velocity_and_ids_the_model_says_no_motion() -> None:
     found = label(boxes())
     assert found.labels.tolist() == [U, U, U, S, S]
     assert found.health.reason == NO_MOTION
+
+
+def test_classes_that_cannot_move_say_nothing_of_the_motion_of_others() -> None:
+    centres, nan = ((10.0, 0.0, 0.0), (-30.0, 0.0, 0.0)), ((NAN, NAN, NAN),) * 2
+    mixed = replace(boxes(centres, velocity=nan), movable=(True, False))
+    assert label(mixed).health.reason == NO_MOTION
+    assert label(boxes(movable=False)).health.reason == ""
 
 
 def test_a_class_that_cannot_move_stands_without_a_velocity() -> None:
