@@ -118,9 +118,12 @@ def parse_budgets(text: str) -> tuple[int, ...]:
 
 
 def _say(found: "LoopFigure") -> None:
+    from service.evaluation.loop_figure import ALARMS
+
     table(
-        "share of moving pixels found on held-out streets, where 2 % of the static ones are called "
-        f"moving; mean of {len(found.seeds)} seeds, {found.fleet_scenes} scenes in the fleet",
+        f"share of moving pixels found on held-out streets, where {ALARMS:.0%} of the static ones "
+        f"are called moving; mean of {len(found.seeds)} seeds, {found.fleet_scenes} scenes in the "
+        "fleet",
         (
             *("order", "budget", "labelled", "with an unknown class"),
             *("moving", "95 %", "unknown classes", "95 %", "in rain", "95 %"),

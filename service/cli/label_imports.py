@@ -93,7 +93,7 @@ def import_labels(
     for scene in scenes:
         found = _judged(source, scene, json=json)
         judged += found
-        if reviewer is not None and found and (confirmed or not _is_unchanged(scene)):
+        if reviewer is not None and found and (confirmed or not scene.is_unchanged):
             stored += _store(source, scene.scene_id, found, reviewer=reviewer)
     unlabelled = sum(scene.unlabelled for scene in scenes)
     without = f"; {counted(unlabelled, 'frame')} without labels" if unlabelled else ""
@@ -103,7 +103,7 @@ def import_labels(
             f"{same} of {counted(frames, 'frame')} still have the pre-labels of the export: if "
             "they are not finished, these judgements are the streams' own"
         )
-        untouched = sum(map(_is_unchanged, scenes))
+        untouched = sum(scene.is_unchanged for scene in scenes)
         if reviewer is not None and untouched and not confirmed:
             remark(
                 f"no verdicts of {counted(untouched, 'scene')} in which no label changed: give "
@@ -137,11 +137,6 @@ def _import_answers(
     for scene_id, why in lost.items():
         remark(f"not stored: {scene_id}: {why}")
     remark(f"{counted(stored, 'verdict')} of {reviewer} from Label Studio")
-
-
-def _is_unchanged(scene: ImportedScene) -> bool:
-    """Return whether every frame of a scene still has the pre-labels of the export."""
-    return all(frame.is_unchanged for frame in scene.frames)
 
 
 def _current(source: Reader, scene_id: str) -> tuple[SceneScore, Overlay]:

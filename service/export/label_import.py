@@ -109,6 +109,11 @@ class ImportedScene:
     frames: tuple[LabelledFrame, ...]
     unlabelled: int
 
+    @property
+    def is_unchanged(self) -> bool:
+        """Return whether it has labels, and all of them are the pre-labels of the export."""
+        return bool(self.frames) and all(frame.is_unchanged for frame in self.frames)
+
 
 def read_scenes(folder: Path, form: LabelForm, current: OpenCurrent) -> Iterator[ImportedScene]:
     """Read the labels of an export.

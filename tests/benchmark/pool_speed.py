@@ -9,13 +9,12 @@ ready, all logs appear in it at once. The time counts from there until every log
 import argparse
 import logging
 import shutil
-import socket
 import sys
 import tempfile
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,10 +22,10 @@ from typing import Final
 
 import structlog
 
+from tests.free_ports import free_port
 from tests.integration.daemons import Daemon, System
 from tests.integration.ray_cluster import ray_nodes
 
-DEADLINE_S: Final = 300.0
 REST_S: Final = 5.0
 """Wait after the first worker is ready, so that each is, seconds."""
 
@@ -96,13 +95,14 @@ def measure(pool: str, log: Path, *, copies: int, workers: int) -> PoolSpeed:
         if pool == "ray":
             nodes = opened.enter_context(ray_nodes(1))
             cluster = ["--pool", "ray", "--ray-address", nodes.address]
-        system = opened.enter_context(_system(folder, bucket, workers, cluster))
+        page = f"127.0.0.1:{free_port()}"
+        system = opened.enter_context(_system(folder, bucket, workers, cluster, page=page))
         for daemon in (system.router, system.service):
             daemon.start()
         system.until(lambda: system.status() is not None, "an answer")
         began_s = time.monotonic()
         system.pool.start()
-        _until(lambda: _is_ready(folder), "a worker that is ready")
+        system.until(lambda: _is_ready(page), "a worker that is ready")
         start_s = time.monotonic() - began_s
         time.sleep(REST_S)
         began_s = time.monotonic()
@@ -114,7 +114,7 @@ def measure(pool: str, log: Path, *, copies: int, workers: int) -> PoolSpeed:
             states.update(system.states())
             return len(states) == copies and set(states.values()) == {"done"}
 
-        _until(all_done, "every log done")
+        system.until(all_done, "every log done")
         wall_s = time.monotonic() - began_s
         status = system.status()
         assert status is not None
@@ -125,15 +125,14 @@ def measure(pool: str, log: Path, *, copies: int, workers: int) -> PoolSpeed:
 
 
 @contextmanager
-def _system(folder: Path, bucket: Path, workers: int, cluster: list[str]) -> Iterator[System]:
-    with socket.create_server(("127.0.0.1", 0)) as probe:
-        at = f"127.0.0.1:{probe.getsockname()[1]}"
-    (folder / "at").write_text(at)
+def _system(
+    folder: Path, bucket: Path, workers: int, cluster: list[str], *, page: str
+) -> Iterator[System]:
     env = {
         "COUNTERPOINT_LIST_INTERVAL_S": "0.5",
         "COUNTERPOINT_LEASE_S": "30",
         "COUNTERPOINT_SETTLE_S": "0",
-        "COUNTERPOINT_WORKER_HTTP_LISTEN": at,
+        "COUNTERPOINT_WORKER_HTTP_LISTEN": page,
     }
     system = System(folder, str(bucket), env=env)
     options = ("worker", "--workers", str(workers), "--connect", system.endpoint, *cluster)
@@ -145,20 +144,12 @@ def _system(folder: Path, bucket: Path, workers: int, cluster: list[str]) -> Ite
         system.end()
 
 
-def _is_ready(folder: Path) -> bool:
+def _is_ready(page: str) -> bool:
     try:
-        url = f"http://{(folder / 'at').read_text()}/readyz"
-        with urllib.request.urlopen(url, timeout=5) as answer:
+        with urllib.request.urlopen(f"http://{page}/readyz", timeout=5) as answer:
             return bool(answer.status == 200)
     except (urllib.error.URLError, OSError):
         return False
-
-
-def _until(condition: Callable[[], bool], what: str) -> None:
-    end_s = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < end_s, f"not within {DEADLINE_S:g} s: {what}"
-        time.sleep(0.1)
 
 
 if __name__ == "__main__":
