@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from service.cli.bench_fleet import fleet
+from service.cli.bench_gpu import gpu
 from service.cli.bench_loop import loop
 from service.cli.bench_overlay import overlay
 from service.cli.bench_selection import selection
@@ -27,6 +28,7 @@ def add_to(app: typer.Typer) -> None:
     bench.command(epilog="counterpoint bench pipeline logs/car-7/2026-11-20/drive.mcap")(pipeline)
     bench.command(epilog="counterpoint bench motion logs/car-7/2026-11-20/drive.mcap")(motion)
     bench.command(epilog="counterpoint bench networks logs/car-7/2026-11-20/drive.mcap")(networks)
+    bench.command(epilog="counterpoint bench gpu logs/car-7/2026-11-20/drive.mcap")(gpu)
     bench.command(epilog="counterpoint bench ledger --folder /var/lib/counterpoint")(ledger)
     bench.command(epilog="counterpoint bench fleet --workers 64 --mine-s 20")(fleet)
     bench.command(epilog="counterpoint bench listing --scenes 1000000")(listing)

@@ -25,6 +25,7 @@ from service.evaluation.loop_steps import (
     teach_first,
 )
 from service.evaluation.mined_fleet import FleetScene, fleet_of
+from workers.checkpoints.devices import device_of
 from workers.lab.loop.mining import jobs_of_fleet
 from workers.lab.loop.streets import UNKNOWN, write_fleet_log
 from workers.version import version_of
@@ -166,6 +167,7 @@ def _digest(fleet: Path, settings: LoopSettings, mining: MiningSettings) -> str:
         "revision": _REVISION,
         "fleet": {job.recording.log_id: job.recording.revision for job in jobs_of_fleet(fleet)},
         "size": {**asdict(settings), "budgets": 0, "logs": 0},
+        "device": device_of(mining.device),
         "pipeline": version_of(mining.model_copy(update={"supervised": "recorded", "model": ""})),
     }
     return hashlib.sha256(canonical_json(facts)).hexdigest()[:12]

@@ -10,6 +10,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from schemas.mining import MiningSettings
 from service.evaluation.loop_orders import SceneKey
+from workers.checkpoints.devices import device_of
 from workers.lab.datasets.learnt_images import LearntImages
 from workers.lab.loop.mining import (
     MinedByModel,
@@ -91,7 +92,14 @@ def build_taught(run: LoopRun, task: tuple[int, int]) -> None:
 def teach_first(run: LoopRun, seed: int) -> None:
     """Teach the first model of a seed."""
     folder = run.of_seed(seed)
-    teach(_streets(run, seed), [], steps=run.settings.steps, seed=seed, out=folder / "first")
+    teach(
+        _streets(run, seed),
+        [],
+        steps=run.settings.steps,
+        seed=seed,
+        out=folder / "first",
+        device=device_of(run.mining.device),
+    )
 
 
 def mine_fleet_log(run: LoopRun, task: tuple[int, int]) -> MinedByModel:
@@ -135,6 +143,7 @@ def judge_choice(run: LoopRun, task: tuple[int, Choice]) -> list[StreetCount]:
         seed=seed,
         out=folder / name,
         initial=load_model(folder / "first"),
+        device=device_of(run.mining.device),
     )
     held_out = [
         held_out_street(run.kept / "held-out", number, seed=run.settings.fleet_seed)

@@ -2,16 +2,21 @@
 
 FlowStep3D needs them as in PointNet++ (Qi et al., NeurIPS 2017). Distances are sums of squared
 differences, never `|a|^2 - 2ab + |b|^2`: far from the origin, that form loses centimetres. Memory
-is bounded: at most `CHUNK` distances exist at a time.
+is bounded: at most `distances_at_once` exist at a time.
 """
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import Final
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-CHUNK: Final = 1 << 22
-"""Distances in memory at a time, 16 MiB in float32: 100,000 points then need no more than 1,000."""
+from workers.points.compiled import compiled
+
+_CHUNK: Final[dict[str, int]] = {"cpu": 1 << 22, "cuda": 1 << 26}
+"""Distances in memory at a time: 16 MiB in float32, and 256 MiB where parts wait for each other."""
 
 NEAREST_M: Final = 1e-10
 """Smallest distance in interpolation, so that a point on a sample takes its value; published."""
@@ -21,7 +26,8 @@ def sample_furthest(points: Tensor, count: int) -> Tensor:
     """Sample points by furthest point sampling: each is the furthest from all before it.
 
     Starts with index 0; of equally far points the lowest index is taken. If `count` exceeds the
-    number of points, index 0 repeats once no distance is left.
+    number of points, index 0 repeats once no distance is left. Each point depends on the one
+    before, which a GPU waits for: the processor samples, a thread of torch's number per cloud.
 
     Args:
         points: (B, N, 3).
@@ -30,20 +36,34 @@ def sample_furthest(points: Tensor, count: int) -> Tensor:
     Returns:
         (B, count) int64 indices, in the order they were chosen.
     """
-    x, y, z = (axis.contiguous() for axis in points.unbind(dim=2))
-    batch = points.shape[0]
-    chosen = torch.zeros(batch, count, dtype=torch.int64, device=points.device)
-    nearest = torch.full_like(x, torch.inf)
-    far, along = torch.empty_like(x), torch.empty_like(x)
-    last = chosen[:, :1]
-    for place in range(1, count):
-        torch.sub(x, x.gather(1, last), out=far).square_()
-        far.add_(torch.sub(y, y.gather(1, last), out=along).square_())
-        far.add_(torch.sub(z, z.gather(1, last), out=along).square_())
-        torch.minimum(nearest, far, out=nearest)
-        last = nearest.argmax(dim=1, keepdim=True)
-        chosen[:, place] = last[:, 0]
-    return chosen
+    clouds = np.ascontiguousarray(points.detach().cpu().numpy(), np.float32)
+    rows = np.zeros((len(clouds), count), np.int64)
+    with ThreadPoolExecutor(torch.get_num_threads()) as threads:
+        list(threads.map(_sample_furthest, clouds, rows))
+    return torch.from_numpy(rows).to(points.device)
+
+
+@compiled
+def _sample_furthest(points: NDArray[np.float32], chosen: NDArray[np.int64]) -> None:
+    """Fill (count,) indices into (N, 3) points; the first stays 0."""
+    nearest = np.full(len(points), np.inf, np.float32)
+    last = 0
+    for place in range(1, len(chosen)):
+        x, y, z = points[last, 0], points[last, 1], points[last, 2]
+        furthest, last = np.float32(-1.0), 0
+        for number in range(len(points)):
+            along_x, along_y = points[number, 0] - x, points[number, 1] - y
+            along_z = points[number, 2] - z
+            far = along_x * along_x + along_y * along_y + along_z * along_z
+            nearest[number] = min(nearest[number], far)
+            if nearest[number] > furthest:
+                furthest, last = nearest[number], number
+        chosen[place] = last
+
+
+def distances_at_once(points: Tensor) -> int:
+    """Return the number of distances to hold in memory at a time, on the device of these points."""
+    return _CHUNK[points.device.type]
 
 
 def squared_distances(queries: Tensor, points: Tensor) -> Tensor:
@@ -77,7 +97,7 @@ def find_nearest(queries: Tensor, points: Tensor, count: int) -> tuple[Tensor, T
         (B, M, min(count, N)) squared distances, and int64 indices of the points.
     """
     batch, wanted, found = *queries.shape[:2], points.shape[1]
-    count, rows = min(count, found), max(1, CHUNK // (batch * found))
+    count, rows = min(count, found), max(1, distances_at_once(points) // (batch * found))
     squared = queries.new_empty(batch, wanted, count)
     index = torch.empty(batch, wanted, count, dtype=torch.int64, device=queries.device)
     # the same memory for every part: results between freed parts would keep it from being reused

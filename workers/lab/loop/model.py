@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from workers.checkpoints.devices import Device
 from workers.lab.datasets.classes import meanings
 from workers.lab.datasets.images import TrainingImages, build_images
 from workers.lab.datasets.learnt_images import LearntImages, read_once, write_learnt
@@ -132,6 +133,7 @@ def teach(
     seed: int,
     out: Path,
     initial: LoadedWeights | None = None,
+    device: Device = "cpu",
 ) -> LoadedWeights:
     """Teach a model on streets, and with an initial one on labelled scenes as well.
 
@@ -145,6 +147,7 @@ def teach(
         seed: Seed of parameters and batches.
         out: Folder of the weights, which appears when they are complete.
         initial: Model to continue from.
+        device: Device that teaches.
     """
     if not out.is_dir():
         aside = out.with_name(f".{out.name}.part")
@@ -152,11 +155,12 @@ def teach(
         aside.mkdir(parents=True)
         sets = sets_of([*taught, *labelled])
         card = _card(sets) if initial is None else initial.card.model_copy(update={"scores": {}})
+        peak_rate = PEAK_RATE if initial is None else PEAK_RATE_ON
         train(
             sets,
             {},
             card,
-            _schedule(steps, seed, PEAK_RATE if initial is None else PEAK_RATE_ON),
+            _schedule(steps, seed, peak_rate, device),
             out=aside / "lmnet.safetensors",
             initial=initial,
         )
@@ -192,7 +196,7 @@ def _card(sets: Sequence[TrainingSet]) -> WeightsCard:
     )
 
 
-def _schedule(steps: int, seed: int, peak_rate: float) -> TrainingSettings:
+def _schedule(steps: int, seed: int, peak_rate: float, device: Device) -> TrainingSettings:
     return TrainingSettings(
         steps=steps,
         batch=BATCH,
@@ -203,6 +207,7 @@ def _schedule(steps: int, seed: int, peak_rate: float) -> TrainingSettings:
         lovasz_every=4,
         scorings=1,
         seed=seed,
+        device=device,
     )
 
 

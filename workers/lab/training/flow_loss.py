@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from workers.paper.point_sets import CHUNK, find_nearest, squared_distances
+from workers.paper.point_sets import distances_at_once, find_nearest, squared_distances
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +158,7 @@ def ball_neighbours(points_m: Tensor, count: int, *, radius_m: float) -> Tensor:
     points, n = points_m.detach()[None], len(points_m)
     index = torch.arange(n, device=points_m.device)
     rows = []
-    for block in torch.split(points, max(1, CHUNK // n), dim=1):
+    for block in torch.split(points, max(1, distances_at_once(points) // n), dim=1):
         inside = squared_distances(block, points)[0] < radius_m**2
         first = torch.where(inside, index, n).topk(min(count, n), largest=False, sorted=True).values
         first = functional.pad(first, (0, count - first.shape[1]), value=n)

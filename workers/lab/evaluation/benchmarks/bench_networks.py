@@ -3,7 +3,6 @@
 import statistics
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
 from itertools import islice
 from typing import Any, Final
 
@@ -19,13 +18,11 @@ from workers.ingest.read import read_shard
 from workers.lab.evaluation.benchmarks import published_forward
 from workers.lab.evaluation.benchmarks.lower_bounds import MS_PER_S
 from workers.lab.evaluation.benchmarks.network_time import Network, NetworkTime, times_as_fast
+from workers.lab.evaluation.benchmarks.recording_network import RecordingNetwork
 from workers.lab.evaluation.truth.whole_log import shards_of_log
-from workers.lidar.range_image import SensorProfile
 from workers.parts.registry import build_odometry
-from workers.supervised.classes import ClassMeaning
 from workers.supervised.folded import FoldedSalsaNext
 from workers.supervised.networks import run_network
-from workers.supervised.residual_image import ResidualSettings
 from workers.supervised.stream import SHIPPED, RangeImageStream
 from workers.supervised.weights import LoadedWeights, load_weights
 
@@ -35,38 +32,6 @@ BATCHED: Final = f"folded, {BATCH} frames at once"
 
 THREADS: Final = 2
 THREADED: Final = f"folded, {THREADS} threads"
-
-
-@dataclass(slots=True)
-class _RecordingNetwork:
-    """A network that records its input images."""
-
-    weights: LoadedWeights
-    images: list[NDArray[np.float32]] = field(default_factory=list)
-
-    @property
-    def profile(self) -> SensorProfile:
-        return self.weights.profile
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        return self.weights.channels
-
-    @property
-    def residual(self) -> ResidualSettings | None:
-        return self.weights.residual
-
-    @property
-    def classes(self) -> tuple[ClassMeaning, ...]:
-        return self.weights.classes
-
-    @property
-    def digest(self) -> str:
-        return self.weights.digest
-
-    def probabilities(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
-        self.images.append(image)
-        return self.weights.probabilities(image)
 
 
 def bench_images(
@@ -97,7 +62,7 @@ def bench_images(
         A row per network and implementation.
     """
     semantic, motion = (
-        _RecordingNetwork(load_weights(SHIPPED / f"{name}.safetensors"))
+        RecordingNetwork(load_weights(SHIPPED / f"{name}.safetensors"))
         for name in ("salsanext", "lmnet")
     )
     shard, *_ = shards_of_log(bucket, recording, settings)
@@ -105,7 +70,7 @@ def bench_images(
     posed = islice(build_odometry(settings.odometry)(read), 10 + frames)
     for _ in RangeImageStream(semantic, motion, name="bench")(posed):
         pass
-    names: tuple[tuple[Network, _RecordingNetwork], ...] = (
+    names: tuple[tuple[Network, RecordingNetwork], ...] = (
         ("salsanext", semantic),
         ("lmnet", motion),
     )
@@ -116,7 +81,7 @@ def bench_images(
 
 def _timed_images(
     name: Network,
-    watched: _RecordingNetwork,
+    watched: RecordingNetwork,
     *,
     frames: int,
     rounds: int,
