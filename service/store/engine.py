@@ -1,5 +1,6 @@
 """Database engine and transactions; the only module that depends on the kind of server."""
 
+import logging
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -44,6 +45,9 @@ __all__ = [
 log = structlog.get_logger(__name__)
 
 DATABASE_NAME: Final = "counterpoint.sqlite"
+_POOL_LOG: Final = "sqlalchemy.pool"
+"""Logger of a connection that could not be reset: a traceback beside the sentence of its error."""
+
 _GONE_PATIENCE_S: Final = 10.0
 """Time after which a server that reports a missing database is believed, seconds."""
 
@@ -77,6 +81,7 @@ class Store:
             watch: Watch of its files; None: it has none here.
             sockets: Sockets of its connections; None: it has none.
         """
+        logging.getLogger(_POOL_LOG).setLevel(logging.CRITICAL)
         self._engine, self._reader = engine, engine.execution_options(**reader)
         self.name = name
         self._watch = watch
@@ -235,6 +240,8 @@ class Store:
             elif isinstance(fault, StatementFailedError) and not self._is_ours():
                 what = "its tables are gone"
                 fault = StateUnusableError(RESTORED.format(name=self.name, what=what))
+            elif isinstance(fault, StateUnusableError):
+                fault = self._lost_file() or fault
             if self._observer is not None and not isinstance(fault, StatementFailedError):
                 self._observer.on_database_error()
             self._note(fault)
@@ -248,6 +255,17 @@ class Store:
         """Keep the error of a lost database, since it is never trusted again before a restart."""
         if isinstance(fault, StateUnusableError) and self._lineage is not None:
             self._lost = fault
+
+    def _lost_file(self) -> StateUnusableError | None:
+        """Return what happened to a file that the driver only calls damaged, where it is known."""
+        try:
+            if self._watch is not None:
+                self._watch.look()
+        except StateUnusableError as error:
+            return error
+        except StoreUnavailableError:
+            return None
+        return None
 
     def _missing(self, fault: StoreUnavailableError) -> CounterpointError:
         now_s = time.monotonic()

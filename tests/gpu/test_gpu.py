@@ -85,9 +85,7 @@ def test_flowstep3d_is_trained_with_the_losses_of_the_processor(tmp_path: Path) 
     rng = np.random.default_rng(1)
     files = []
     for number in range(3):
-        cloud = flow_clouds.FlowCloud(
-            rng.uniform(-20, 20, (3000, 3)).astype(np.float32), np.eye(4)
-        )
+        cloud = flow_clouds.FlowCloud(rng.uniform(-20, 20, (3000, 3)).astype(np.float32), np.eye(4))
         files.append(tmp_path / f"{number:06d}.npz")
         cloud.write(files[-1])
     pairs = pairs_of(files)
