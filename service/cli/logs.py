@@ -21,7 +21,7 @@ from service.cli.options import (
     settings_for,
 )
 from service.cli.output import json_line, listing, progress, remark
-from service.cli.report import first_of, say_inspected, say_judged, say_open
+from service.cli.report import first_of, said_of_damage, say_inspected, say_judged, say_open
 from service.errors import NothingFoundError
 from service.output_files import need_folder, save_picture
 
@@ -113,9 +113,7 @@ def score(
             recording,
             settings.mining(),
             on_shard=lambda done, total: bar.update(task, completed=done, total=total),
-            on_damage=lambda damage: remark(
-                f"damaged: {damage.what} ({damage.key} at byte {damage.offset})"
-            ),
+            on_damage=lambda damage: remark(said_of_damage(damage)),
             on_scene=partial(_draw, folder=pictures, force=force)
             if pictures
             else lambda mined: None,

@@ -11,6 +11,7 @@ from service.curation.scene_names import short_names
 from service.curation.status import SkippedEntries, Status, skipped_phrases
 
 if TYPE_CHECKING:
+    from schemas.work import Damage
     from service.dry_run import DryLog, DryRun
 
 
@@ -39,10 +40,7 @@ def say_what_was_found(status: Status) -> None:
         if log.problem and log.log_id not in listed_below:
             remark(f"{log.state}: {log.log_id}: {log.problem}")
         for damage in log.damage:
-            remark(
-                f"damaged: {log.log_id}: {damage.what} "
-                f"({damage.key} at byte {damage.offset}, {damage.bytes} bytes)"
-            )
+            remark(said_of_damage(damage))
     say_skipped(status.skipped)
     for work in status.parked:
         remark(f"parked: {work.log_id} {work.shard} after {work.attempts}: {work.error}")
@@ -86,6 +84,16 @@ def say_what_was_found(status: Status) -> None:
         f"({_percent(points.only_semantic_dynamic, compared)} "
         "labelled dynamic by the supervised stream alone, "
         f"{_percent(points.only_predictive_dynamic, compared)} by the other alone)"
+    )
+
+
+def said_of_damage(damage: "Damage") -> str:
+    """Say what was found in a log: a stretch that cannot be read, or a notice that costs none."""
+    if not damage.bytes:
+        return f"noticed: {damage.what} ({damage.key})"
+    return (
+        f"damaged: {damage.what} ({damage.key} at byte {damage.offset}, "
+        f"{counted(damage.bytes, 'byte')})"
     )
 
 

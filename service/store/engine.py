@@ -46,7 +46,7 @@ log = structlog.get_logger(__name__)
 
 DATABASE_NAME: Final = "counterpoint.sqlite"
 _POOL_LOG: Final = "sqlalchemy.pool"
-"""Logger of a connection that could not be reset: it repeats the error that follows, as a traceback."""
+"""Logger of a connection that could not be reset: it repeats an error as a traceback."""
 
 _GONE_PATIENCE_S: Final = 10.0
 """Time after which a server that reports a missing database is believed, seconds."""

@@ -174,6 +174,49 @@ def test_stamps_that_are_no_whole_numbers_end_in_a_sentence(tmp_path: Path) -> N
             read(write(clouds()), predictions=str(tmp_path))
 
 
+@pytest.mark.parametrize(
+    ("unit", "factor"), [("microseconds", 1_000), ("milliseconds", 10**6), ("seconds", 10**9)]
+)
+def test_stamps_in_another_unit_are_named_with_it(tmp_path: Path, unit: str, factor: int) -> None:
+    file = tmp_path / "drive.parquet"
+    parquet_of_boxes(file)
+    table = parquet.read_table(file)
+    coarse = pa.array([value // factor for value in table["stamp_ns"].to_pylist()])
+    parquet.write_table(table.set_column(0, "stamp_ns", coarse), file)
+    with pytest.raises(LogUnusableError, match=f"stamp_ns has {unit}: .* multiply by {factor:,}"):
+        read(write(clouds()), predictions=str(tmp_path))
+
+
+@pytest.mark.parametrize(("without", "of"), [("vy", "only vx of the columns vx, vy")])
+def test_half_of_a_velocity_is_refused(tmp_path: Path, without: str, of: str) -> None:
+    parquet_of_boxes(tmp_path / "drive.parquet", without=without)
+    with pytest.raises(LogUnusableError, match=of):
+        read(write(clouds()), predictions=str(tmp_path))
+
+
+def test_a_yaw_in_degrees_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "drive.parquet"
+    parquet_of_boxes(file)
+    table = parquet.read_table(file)
+    place = table.column_names.index("yaw")
+    degrees = pa.array([178.5] * table.num_rows)
+    parquet.write_table(table.set_column(place, "yaw", degrees), file)
+    with pytest.raises(LogUnusableError, match=r"has the yaw 178.5: it needs radians"):
+        read(write(clouds()), predictions=str(tmp_path))
+
+
+def test_boxes_that_share_an_identity_have_none_and_it_is_said(tmp_path: Path) -> None:
+    file = tmp_path / "drive.parquet"
+    parquet_of_boxes(file)
+    table = parquet.read_table(file)
+    parquet.write_table(pa.concat_tables([table, table]), file)
+    frames, said = read(write(clouds()), predictions=str(tmp_path))
+    assert frames[0].boxes is not None
+    assert frames[0].boxes.track_id == ("", "")
+    assert len(said) == 1
+    assert "20 answers give one identity to several boxes, the first '17'" in said[0]
+
+
 def test_an_answer_in_two_frames_is_refused_not_halved(tmp_path: Path) -> None:
     file = tmp_path / "drive.parquet"
     parquet_of_boxes(file, frame_id="base")

@@ -30,6 +30,7 @@ class BoxNotices:
         self._not_placed: Counter[tuple[str, str, bool]] = Counter()
         self._unmapped: Counter[str] = Counter()
         self._not_finite = self._impossible = 0
+        self._repeated: list[str] = []
 
     def without_answer(self, stamp_ns: int) -> None:
         """Count a cloud without an answer."""
@@ -53,6 +54,8 @@ class BoxNotices:
         """Count what was left out of an answer."""
         self._not_finite += boxes.not_finite
         self._impossible += boxes.impossible_size
+        if boxes.repeated_id:
+            self._repeated.append(boxes.repeated_id)
 
     def sentences(self) -> Iterator[str]:
         """Yield a sentence for each cause that was counted."""
@@ -97,4 +100,10 @@ class BoxNotices:
             yield (
                 f"{self._impossible} boxes have a side of zero or over {MAX_SIZE_M:.0f} m: they "
                 f"are left out; repair the model's output {where}"
+            )
+        if self._repeated:
+            yield (
+                f"{len(self._repeated)} answers give one identity to several boxes, the first "
+                f"{self._repeated[0]!r}: these boxes count as without track, so that only a stated "
+                f"velocity says that they move; number the objects of a frame {where}"
             )

@@ -17,6 +17,15 @@ MAX_OPENED_BYTES: Final = 4096 * MIB
 MAX_ROWS: Final = 500_000
 """Rows of one shard; 200 answers of 120 boxes are 24,000."""
 
+MOST_YAW: Final = 4 * math.pi
+"""Largest yaw that is taken for radians: two turns. Degrees soon exceed it."""
+
+UNITS: Final = {"seconds": 10**9, "milliseconds": 10**6, "microseconds": 10**3}
+"""Nanoseconds of the units that stamps are mistaken in."""
+
+TOGETHER: Final = (("qx", "qy", "qz", "qw"), ("vx", "vy"))
+"""Optional columns of which all are needed, or none."""
+
 NEEDED: Final = ("stamp_ns", "x", "y", "z", "length", "width", "height")
 OPTIONAL: Final = (
     *("frame_id", "yaw", "qx", "qy", "qz", "qw", "vx", "vy", "vz"),
@@ -24,7 +33,9 @@ OPTIONAL: Final = (
 )
 
 
-def read_box_file(bucket: Bucket, key: str, *, start_ns: int, end_ns: int) -> list[StatedBoxes]:
+def read_box_file(
+    bucket: Bucket, key: str, *, start_ns: int, end_ns: int, clouds_ns: tuple[int, int]
+) -> list[StatedBoxes]:
     """Read the boxes of a stretch of time.
 
     Args:
@@ -32,6 +43,7 @@ def read_box_file(bucket: Bucket, key: str, *, start_ns: int, end_ns: int) -> li
         key: The file; columns are `NEEDED` and any of `OPTIONAL`.
         start_ns: First stamp.
         end_ns: First stamp after.
+        clouds_ns: First and last stamp of clouds about which boxes are read.
 
     Raises:
         LogUnusableError: If pyarrow is not installed, or the file is no such Parquet.
@@ -55,24 +67,50 @@ def read_box_file(bucket: Bucket, key: str, *, start_ns: int, end_ns: int) -> li
                 f"the Parquet of boxes lacks the columns {', '.join(missing)}: it needs "
                 f"{', '.join(NEEDED)} ({key})"
             )
+        for columns in TOGETHER:
+            if 0 < len(names & set(columns)) < len(columns):
+                raise LogUnusableError(
+                    f"the Parquet of boxes has only {', '.join(sorted(names & set(columns)))} of "
+                    f"the columns {', '.join(columns)}: write all of them, or none ({key})"
+                )
         kind = file.schema_arrow.field("stamp_ns").type
         if not pa.types.is_integer(kind):
             raise LogUnusableError(
                 f"stamp_ns is of the type {kind}: it needs whole nanoseconds of the log's clock, "
                 f"as int64 ({key})"
             )
-        columns = [name for name in (*NEEDED, *OPTIONAL) if name in names]
+        wanted = [name for name in (*NEEDED, *OPTIONAL) if name in names]
         within = [("stamp_ns", ">=", start_ns), ("stamp_ns", "<", end_ns)]
-        table = parquet.read_table(pa.BufferReader(data), columns=columns, filters=within)
+        table = parquet.read_table(pa.BufferReader(data), columns=wanted, filters=within)
         if table.num_rows > MAX_ROWS:
             raise LogUnusableError(
                 f"the Parquet of boxes has {table.num_rows} rows within "
                 f"{(end_ns - start_ns) / 1e9:.0f} s, more than {MAX_ROWS} ({key})"
             )
+        if not _any_within(table, clouds_ns):
+            stamps = parquet.read_table(pa.BufferReader(data), columns=["stamp_ns"])
+            _need_nanoseconds(stamps, clouds_ns, key)
         rows = table.sort_by("stamp_ns").to_pylist()
     except pa.ArrowException as error:
         raise LogUnusableError(f"cannot read boxes: {error} ({key})") from None
     return _answers(rows, key)
+
+
+def _any_within(stamps: Any, clouds_ns: tuple[int, int], *, factor: int = 1) -> bool:
+    """Return true if a stamp of a table, in units of `factor` ns, is of the time of the clouds."""
+    first, last = (each / factor for each in clouds_ns)
+    values = stamps["stamp_ns"].drop_null().to_numpy()
+    return bool(((values >= first) & (values <= last)).any())
+
+
+def _need_nanoseconds(stamps: Any, clouds_ns: tuple[int, int], key: str) -> None:
+    """Refuse stamps that would be of the time of the clouds in a coarser unit."""
+    for unit, factor in UNITS.items():
+        if _any_within(stamps, clouds_ns, factor=factor):
+            raise LogUnusableError(
+                f"stamp_ns has {unit}: no row is of the time of this log in nanoseconds, in {unit} "
+                f"some are; multiply by {factor:,} ({key})"
+            )
 
 
 def _answers(rows: list[dict[str, Any]], key: str) -> list[StatedBoxes]:
@@ -80,7 +118,7 @@ def _answers(rows: list[dict[str, Any]], key: str) -> list[StatedBoxes]:
     frames: dict[int, set[str]] = {}
     for row in rows:
         stamp_ns = int(row["stamp_ns"])
-        grouped.setdefault(stamp_ns, []).append(_box(row))
+        grouped.setdefault(stamp_ns, []).append(_box(row, key))
         frames.setdefault(stamp_ns, set()).add(str(row.get("frame_id") or ""))
     if mixed := [stamp_ns for stamp_ns, names in frames.items() if len(names) > 1]:
         names = ", ".join(map(repr, sorted(frames[mixed[0]])))
@@ -98,7 +136,7 @@ def _answers(rows: list[dict[str, Any]], key: str) -> list[StatedBoxes]:
     ]
 
 
-def _box(row: dict[str, Any]) -> StatedBox:
+def _box(row: dict[str, Any], key: str) -> StatedBox:
     nan = float("nan")
 
     def numbers(*names: str) -> list[float]:
@@ -108,6 +146,11 @@ def _box(row: dict[str, Any]) -> StatedBox:
         rotation = numbers("qx", "qy", "qz", "qw")
     else:
         half = float(row.get("yaw") or 0.0) / 2
+        if abs(2 * half) > MOST_YAW:
+            raise LogUnusableError(
+                f"a box has the yaw {2 * half:g}: it needs radians, counterclockwise from the "
+                f"x-axis; convert degrees ({key})"
+            )
         rotation = [0.0, 0.0, math.sin(half), math.cos(half)]
     velocity = None
     if row.get("vx") is not None and row.get("vy") is not None:

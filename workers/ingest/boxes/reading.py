@@ -67,6 +67,7 @@ class BoxReader:
                     files.key,
                     start_ns=0 if shard.first_of_log else shard.warmup_start_ns - AROUND_NS,
                     end_ns=MAX_TIME_NS if shard.last_of_log else _end_ns(shard) + AROUND_NS,
+                    clouds_ns=(shard.warmup_start_ns - AROUND_NS, _end_ns(shard) + AROUND_NS),
                 )
             )
 

@@ -1,5 +1,6 @@
 """Boxes of one message in the space that it names, whichever type the message has."""
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -75,6 +76,7 @@ class StatedBoxes:
         track_id: Identities, empty: none.
         not_finite: Boxes left out for numbers that are not finite.
         impossible_size: Boxes left out for a size of zero or beyond any vehicle.
+        repeated_id: An identity that several boxes stated; they have none. Empty: none did.
     """
 
     stamp_ns: int
@@ -87,6 +89,7 @@ class StatedBoxes:
     track_id: tuple[str, ...]
     not_finite: int = field(default=0)
     impossible_size: int = field(default=0)
+    repeated_id: str = field(default="")
 
 
 def stated_boxes(message: RawMessage) -> StatedBoxes:
@@ -136,6 +139,8 @@ def gather(stamp_ns: int, frame_id: str, boxes: Iterable[StatedBox]) -> StatedBo
     place = np.array(
         [rigid(tuple(map(float, b.centre_m)), tuple(map(float, b.rotation))) for b in kept]
     ).reshape(-1, 4, 4)
+    stated = Counter(each.track_id for each in kept if each.track_id)
+    repeated = [name for name, count in stated.items() if count > 1]
     return StatedBoxes(
         stamp_ns=stamp_ns if 0 < stamp_ns <= MAX_TIME_NS else 0,
         frame_id=visible(frame_id, limit=MAX_TEXT_OF_A_BOX).strip("/"),
@@ -146,9 +151,12 @@ def gather(stamp_ns: int, frame_id: str, boxes: Iterable[StatedBox]) -> StatedBo
         ).reshape(-1, 3),
         score=np.array([_score(each.score) for each in kept], np.float64),
         class_name=tuple(visible(each.class_name, limit=MAX_TEXT_OF_A_BOX) for each in kept),
-        track_id=tuple(each.track_id[:MAX_TEXT_OF_A_BOX] for each in kept),
+        track_id=tuple(
+            "" if each.track_id in repeated else each.track_id[:MAX_TEXT_OF_A_BOX] for each in kept
+        ),
         not_finite=not_finite,
         impossible_size=impossible,
+        repeated_id=visible(repeated[0], limit=MAX_TEXT_OF_A_BOX) if repeated else "",
     )
 
 
