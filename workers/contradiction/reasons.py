@@ -61,8 +61,8 @@ def reasons_of(
 ) -> tuple[Reason, ...]:
     """Return the reasons of a score, strongest first.
 
-    The state of a scene without a score comes first. What lowered a score comes last: poses that
-    were doubted, and frames without a label of the self-supervised stream.
+    The state of a scene without a score comes first. What lowered a score comes last: that nothing
+    was compared, poses that were doubted, and frames without a label of the self-supervised stream.
 
     Args:
         scene: The scene.
@@ -87,7 +87,7 @@ def reasons_of(
         for track_id, each in enumerate(ranked[:MAX_REASONS])
         if each.strength >= MIN_REPORTED_STRENGTH
     ]
-    lowered = []
+    lowered = [] if stream.blind_share == 1.0 else [_nothing_compared(statistics)]
     if health.state is not OdometryState.HEALTHY:
         doubted = 1.0 - health.healthy_share
         lowered.append(
@@ -98,8 +98,6 @@ def reasons_of(
     if stream.blind_share > 0.0:
         lowered.append(_blind(stream))
     lowered += open_questions(statistics.supervised)
-    if stream.blind_share < 1.0:
-        lowered.append(_nothing_compared(statistics))
     if taught:
         lowered.append(TAUGHT_REMARK)
     return (*reasons, *(Reason(headline=each) for each in lowered if each))
