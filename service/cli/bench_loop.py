@@ -38,7 +38,7 @@ def loop(
     ] = 24,
     steps: Annotated[
         int, typer.Option("--steps", min=2, max=MOST, help="Steps of the first model.")
-    ] = 1200,
+    ] = 4000,
     more_steps: Annotated[
         int, typer.Option("--more-steps", min=2, max=MOST, help="Steps with the chosen scenes.")
     ] = 500,

@@ -45,7 +45,7 @@ class LoopSettings:
     logs: int = 30
     taught: int = 24
     held_out: int = 24
-    steps: int = 1200
+    steps: int = 4000
     more_steps: int = 500
     budgets: tuple[int, ...] = (1, 2, 4, 8, 16)
     fleet_seed: int = 1
