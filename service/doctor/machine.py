@@ -99,19 +99,30 @@ def devices(settings: Settings) -> Iterator[Finding]:
         )
     elif free is not None:
         yield ok("devices", f"{free / 1e9:.1f} GB of memory are free")
-    if find_spec("torch") is None:
-        return
+    if find_spec("torch") is not None and find_spec("workers") is not None:
+        yield _networks_on(settings.device)
+
+
+def _networks_on(wanted: str) -> Finding:
+    """Say which device the networks take by the setting `device`."""
     import torch
 
+    from workers.checkpoints.devices import device_of
+    from workers.checkpoints.errors import WeightsUnusableError
+
+    try:
+        device = device_of(wanted)
+    except WeightsUnusableError as error:
+        return problem("devices", str(error))
+    if device == "cuda":
+        return ok("devices", f"the networks run on {torch.cuda.get_device_name()}, shared by all")
     if torch.cuda.is_available():
-        name = torch.cuda.get_device_name()
-        yield ok("devices", f"CUDA: {name}; workers use the processor, one thread each")
-    else:
-        yield ok(
-            "devices",
-            f"no CUDA, and none is needed; torch would take {torch.get_num_threads()} threads, a "
-            "worker takes one",
-        )
+        return ok("devices", "the networks run on the processor, since device is cpu")
+    return ok(
+        "devices",
+        "no CUDA, and none is needed: the networks run on the processor; torch would take "
+        f"{torch.get_num_threads()} threads, a worker takes one",
+    )
 
 
 def compiled_code(_settings: Settings) -> Iterator[Finding]:

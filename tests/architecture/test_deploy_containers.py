@@ -204,6 +204,7 @@ def test_the_examples_name_every_variable_that_must_be_set() -> None:
         "counterpoint.env.example",
         ".env.example",
         "systemd/counterpoint.service",
+        "systemd/counterpoint-review.service",
     ],
 )
 def test_every_setting_that_is_named_exists(path: str) -> None:
@@ -214,6 +215,7 @@ def test_every_setting_that_is_named_exists(path: str) -> None:
 
 
 LOCKS = "/var/lib/counterpoint/locks"
+UNITS = ("counterpoint.service", "counterpoint-review.service")
 
 
 def test_compose_makes_an_authority_with_a_certificate_for_each_process() -> None:
@@ -275,8 +277,21 @@ def test_the_unit_starts_a_verb_that_exists_and_leaves_the_drain_to_the_pool() -
     assert "MemoryDenyWriteExecute=" not in unit  # loops are compiled while running
 
 
-def test_the_unit_tries_again_what_may_pass_and_nothing_else() -> None:
-    unit = (DEPLOY / "systemd" / "counterpoint.service").read_text()
+def test_the_unit_of_the_page_is_as_hardened_and_starts_a_verb_that_exists() -> None:
+    both = [(DEPLOY / "systemd" / name).read_text() for name in UNITS]
+    started = re.search(r"^ExecStart=\S+/counterpoint (.+)$", both[1], re.M)
+    assert started is not None
+    check_command(started[1].split())
+    hardened = [
+        set(re.findall(r"^((?:Protect|Private|Restrict|SystemCall|NoNew|Cap).+)$", unit, re.M))
+        for unit in both
+    ]
+    assert hardened[0] == hardened[1]
+
+
+@pytest.mark.parametrize("name", UNITS)
+def test_the_unit_tries_again_what_may_pass_and_nothing_else(name: str) -> None:
+    unit = (DEPLOY / "systemd" / name).read_text()
     assert "\nRestart=on-failure\n" in unit
     stays_down = re.search(r"^RestartPreventExitStatus=(.+)$", unit, re.M)
     assert stays_down is not None

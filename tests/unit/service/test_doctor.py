@@ -12,6 +12,7 @@ from threading import Event
 from typing import Any
 
 import pytest
+import torch
 
 from schemas.transport import keys
 from schemas.transport.ask import ask_until
@@ -227,6 +228,16 @@ def test_more_workers_than_processors_are_a_warning() -> None:
     finding = next(doctor_machine.devices(settings(workers=256)))
     assert finding.verdict == "warning"
     assert next(doctor_machine.devices(settings(workers=1))).verdict == "ok"
+
+
+def test_the_device_of_the_networks_is_named_and_a_missing_gpu_is_a_problem() -> None:
+    assert "the networks run on" in told(doctor_machine.devices(settings()))[-1][1]
+    verdict, says = told(doctor_machine.devices(settings(device="cuda")))[-1]
+    if torch.cuda.is_available():
+        assert (verdict, torch.cuda.get_device_name() in says) == ("ok", True)
+    else:
+        assert verdict == "problem"
+        assert "set device to auto or cpu" in says
 
 
 def test_a_clock_that_was_set_back_is_a_problem() -> None:
