@@ -19,7 +19,14 @@ from service.cli.options import Artifacts, Config, Connect, Database, Json, Stat
 from service.cli.output import counted, json_line, remark
 from service.cli.scenes import reader
 from service.errors import UsageError
-from service.export.judging import JudgedContradiction, counted_verdicts, judge, verdicts_of
+from service.export.classes import MOVING_ATTRIBUTE
+from service.export.judging import (
+    UNSURE,
+    JudgedContradiction,
+    counted_verdicts,
+    judge,
+    verdicts_of,
+)
 from service.export.label_import import ImportedScene, read_scenes, write_truth
 from service.export.labels.forms import ALL_NAMES, form_named
 from service.export.labels.labelstudio import NAME as LABEL_STUDIO
@@ -111,6 +118,11 @@ def import_labels(
             )
     told = ", ".join(f"{name} {count}" for name, count in counted_verdicts(judged).items())
     remark(f"{counted(len(judged), 'contradiction')} judged; which stream is wrong: {told or '-'}")
+    if unsure := sum(each.verdict == UNSURE for each in judged):
+        remark(
+            f"{unsure} {UNSURE}: the labels of most of their points say neither static nor moving: "
+            f"they have no label, or a cuboid whose attribute {MOVING_ATTRIBUTE} is not set"
+        )
     if reviewer is not None:
         remark(f"{counted(stored, 'verdict')} of {reviewer} on tracks that are a reason")
 

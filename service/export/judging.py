@@ -19,6 +19,8 @@ from service.export.points import moving_by_outcome
 LEAST_JUDGED: Final = 0.5
 """Share of a track's points that the labels must judge, else the track is `unsure`."""
 
+UNSURE: Final = "unsure"
+
 MOST_WRONG: Final = 0.5
 """Share of judged points that a stream labels otherwise than the truth, from which it is wrong."""
 
@@ -121,7 +123,7 @@ def _judged(track_id: int, counts: NDArray[np.int64]) -> JudgedContradiction:
         judged_share=judged / points,
         supervised_wrong=shares["supervised"],
         selfsupervised_wrong=shares["self_supervised"],
-        verdict=verdict if judged >= LEAST_JUDGED * points else "unsure",
+        verdict=verdict if judged >= LEAST_JUDGED * points else UNSURE,
     )
 
 

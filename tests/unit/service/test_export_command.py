@@ -125,6 +125,20 @@ def test_finished_labels_become_verdicts_once_under_the_name_that_is_given(
     ] * 2
 
 
+def test_labels_that_leave_motion_open_say_why_tracks_are_unsure(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    world, mine = made_world(tmp_path), state_of_the_world(tmp_path / "mine")
+    world.export(world.selection(), "semantickitti", tmp_path / "labels")
+    for file in (tmp_path / "labels").rglob("*.label"):
+        file.write_bytes(bytes(file.stat().st_size))  # every point unlabelled
+    truth = ["--truth", str(tmp_path / "truth"), "--state", str(mine)]
+    assert main(["import-labels", str(tmp_path / "labels"), *truth]) == 0
+    told = capsys.readouterr().err
+    assert "which stream is wrong: unsure 2" in told
+    assert "2 unsure: the labels of most of their points say neither static nor moving" in told
+
+
 def test_an_empty_name_of_a_reviewer_is_refused_before_anything_is_written(
     state: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
