@@ -15,7 +15,7 @@ from torch import Tensor
 
 from workers.points.compiled import compiled
 
-_CHUNK: Final[dict[str, int]] = {"cpu": 1 << 22, "cuda": 1 << 26}
+AT_ONCE: Final[dict[str, int]] = {"cpu": 1 << 22, "cuda": 1 << 26}
 """Distances in memory at a time: 16 MiB in float32, and 256 MiB where parts wait for each other."""
 
 NEAREST_M: Final = 1e-10
@@ -63,7 +63,7 @@ def _sample_furthest(points: NDArray[np.float32], chosen: NDArray[np.int64]) -> 
 
 def distances_at_once(points: Tensor) -> int:
     """Return the number of distances to hold in memory at a time, on the device of these points."""
-    return _CHUNK[points.device.type]
+    return AT_ONCE[points.device.type]
 
 
 def squared_distances(queries: Tensor, points: Tensor) -> Tensor:

@@ -59,6 +59,7 @@ WORKING: Final[dict[tuple[str, ...], list[str]]] = {
     ("bench", "failures"): ["file", "--truth", "folder"],
     ("bench", "selection"): ["folder", "--rows", "0"],
     ("bench", "overlay"): ["file"],
+    ("bench", "gpu"): ["file"],
     ("bench", "loop"): ["folder", "--budgets", "x"],
     ("calibrate", "sensor"): ["file", "--out", "profile.json"],
     ("calibrate", "motion"): ["file", "--truth", "folder", "--out", "rule.json"],

@@ -54,7 +54,7 @@ def test_more_samples_than_points_repeat_the_first() -> None:
 def test_the_nearest_points_are_found_in_order_whatever_fits_into_memory(
     monkeypatch: pytest.MonkeyPatch, chunk: int
 ) -> None:
-    monkeypatch.setattr(point_sets, "CHUNK", chunk)
+    monkeypatch.setitem(point_sets.AT_ONCE, "cpu", chunk)
     queries, points = _points(2, 37), _points(2, 150, seed=2)
     squared, index = find_nearest(queries, points, 9)
     exact = (queries.double()[:, :, None] - points.double()[:, None]).square().sum(dim=3)
