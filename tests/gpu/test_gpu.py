@@ -1,5 +1,6 @@
 """Networks on a GPU of CUDA: the answers of the processor, and every training of the project."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,8 +32,6 @@ GPU: Device = "cuda"
 
 
 def _schedule(device: Device, base: TrainingSettings) -> TrainingSettings:
-    from dataclasses import replace
-
     return replace(base, device=device)
 
 
@@ -66,7 +65,7 @@ def test_points_are_sampled_and_searched_as_on_the_processor() -> None:
 
 
 @pytest.mark.parametrize(("card", "proved"), [(CARD, False), (SEMANTIC, True)])
-def test_a_segmentation_network_is_trained_with_the_losses_of_the_processor(
+def test_a_segmentation_network_begins_with_the_loss_of_the_processor_and_learns(
     tmp_path: Path, card: WeightsCard, proved: bool
 ) -> None:
     sets = _sets(proved=proved)
