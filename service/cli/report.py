@@ -30,7 +30,7 @@ def say_what_was_found(status: Status) -> None:
                 log.frames,
                 log.plan_range_reads + log.mine_range_reads,
                 f"{(log.plan_bytes_read + log.mine_bytes_read) / 1e6:.1f}",
-                len(log.damage) or None,
+                sum(damage.bytes > 0 for damage in log.damage) or None,
             )
             for log in status.logs
         ),

@@ -57,8 +57,9 @@ def find_prediction_files(url: str, log_id: str) -> tuple[PredictionFiles, str]:
             found = PredictionFiles(kind="labels", key=f"{name}/", by_stamp=by_stamp)
             return found, _classes(bucket, name) or _usual_classes(bucket, name, stems)
     raise LogUnusableError(
-        f"no predictions for {log_id}: neither {names[-1]}/000000{LABEL_SUFFIX} nor "
-        f"{BOX_FILES[0].format(name=names[-1])} is in the folder of the setting predictions ({url})"
+        f"no predictions for {log_id}: none of {names[-1]}/000000{LABEL_SUFFIX}, "
+        f"{' and '.join(each.format(name=names[-1]) for each in BOX_FILES)} is in the folder of "
+        f"the setting predictions ({url})"
     )
 
 

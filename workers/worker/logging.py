@@ -63,7 +63,11 @@ def log_mined(report: MiningReport, *, seconds: float) -> None:
 
 
 def _log_damage(damage: Iterable[Damage]) -> None:
-    found = list(damage)
+    every = list(damage)
+    for each in every:
+        if not each.bytes:
+            log.warning("noticed in a log, which is mined", key=each.key, problem=each.what)
+    found = [each for each in every if each.bytes]
     if found:
         log.warning(
             "damaged log: unreadable stretches skipped",

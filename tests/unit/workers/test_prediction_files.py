@@ -217,6 +217,21 @@ def test_boxes_that_share_an_identity_have_none_and_it_is_said(tmp_path: Path) -
     assert "20 answers give one identity to several boxes, the first '17'" in said[0]
 
 
+def test_answers_of_another_time_are_counted_with_their_own(tmp_path: Path) -> None:
+    file = tmp_path / "drive.parquet"
+    parquet_of_boxes(file)
+    table = parquet.read_table(file)
+    for seconds in (20, -20):
+        moved = [value + seconds * 10**9 for value in table["stamp_ns"].to_pylist()]
+        parquet.write_table(table.set_column(0, "stamp_ns", pa.array(moved)), file)
+        _, said = read(write(clouds()), predictions=str(tmp_path))
+        assert len(said) == 2
+        assert said[0].startswith("20 clouds have no answer")
+        assert said[1].startswith(
+            f"20 answers match no cloud, the first at {min(moved) / 1e9:.3f} s"
+        )
+
+
 def test_an_answer_in_two_frames_is_refused_not_halved(tmp_path: Path) -> None:
     file = tmp_path / "drive.parquet"
     parquet_of_boxes(file, frame_id="base")

@@ -68,8 +68,8 @@ class BoxNotices:
             )
             yield (
                 f"{count} answers in boxes are in the frame {source!r}, and {why} ({to!r}): record "
-                f"/tf, /tf_static or nav_msgs/Odometry that joins both; these frames count as "
-                f"without prediction {where}"
+                f"/tf, /tf_static or nav_msgs/Odometry that joins both, or state boxes in {to!r}; "
+                f"these frames count as without prediction {where}"
             )
         if self._without_answer:
             yield (

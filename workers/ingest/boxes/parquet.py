@@ -92,7 +92,9 @@ def read_box_file(
             _need_nanoseconds(stamps, clouds_ns, key)
         rows = table.sort_by("stamp_ns").to_pylist()
     except pa.ArrowException as error:
-        raise LogUnusableError(f"cannot read boxes: {error} ({key})") from None
+        raise LogUnusableError(
+            f"cannot read boxes: {error}; write the file again ({bucket.url}, {key})"
+        ) from None
     return _answers(rows, key)
 
 

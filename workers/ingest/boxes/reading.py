@@ -55,7 +55,11 @@ class BoxReader:
         self._spaces = Spaces(boxes.static_spaces)
         channel, files = boxes.channel, source.files
         topic = channel.topic if channel else files.key if files else ""
-        self.notices = BoxNotices(topic, start_ns=shard.start_ns, end_ns=shard.end_ns)
+        self.notices = BoxNotices(
+            topic,
+            start_ns=0 if shard.first_of_log else shard.start_ns,
+            end_ns=MAX_TIME_NS if shard.last_of_log else shard.end_ns,
+        )
         self._pairing: BoxPairing[tuple[DecodedCloud, int]] = BoxPairing(
             self._spaces, ClassMeanings(recorded_classes(source.classes_json)), self.notices
         )
@@ -102,6 +106,8 @@ class BoxReader:
     def rest(self) -> Complete:
         """Yield the clouds that still wait."""
         yield from self._pairing.rest()
+        for boxes in self._of_file:
+            self.notices.without_cloud(boxes.stamp_ns)
 
     def _report(self, message: RawMessage, what: str) -> None:
         topic = message.channel.topic
