@@ -176,6 +176,11 @@ class Damage(BaseModel):
     bytes: Count
     what: Text
 
+    @property
+    def is_notice(self) -> bool:
+        """Return true if it costs no byte of the log, such as a fault of a model's answers."""
+        return not self.bytes
+
 
 class LogPlan(BaseModel):
     """Plan of a recording: its shards, and the stretches that cannot be read or used."""

@@ -30,7 +30,7 @@ def say_what_was_found(status: Status) -> None:
                 log.frames,
                 log.plan_range_reads + log.mine_range_reads,
                 f"{(log.plan_bytes_read + log.mine_bytes_read) / 1e6:.1f}",
-                sum(damage.bytes > 0 for damage in log.damage) or None,
+                sum(not damage.is_notice for damage in log.damage) or None,
             )
             for log in status.logs
         ),
@@ -89,7 +89,7 @@ def say_what_was_found(status: Status) -> None:
 
 def said_of_damage(damage: "Damage") -> str:
     """Say what was found in a log: a stretch that cannot be read, or a notice that costs none."""
-    if not damage.bytes:
+    if damage.is_notice:
         return f"noticed: {damage.what} ({damage.key})"
     return (
         f"damaged: {damage.what} ({damage.key} at byte {damage.offset}, "

@@ -1,6 +1,8 @@
 """Networks on a GPU of CUDA: the answers of the processor, and every training of the project."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -31,12 +33,20 @@ pytestmark = pytest.mark.gpu
 GPU: Device = "cuda"
 
 
-def _schedule(device: Device, base: TrainingSettings) -> TrainingSettings:
-    return replace(base, device=device)
-
-
-def _losses(done: Progress) -> list[float]:
-    return [loss for _, loss, _ in done.curve]
+def _losses_of_both(
+    train_on: Callable[..., Progress], settings: TrainingSettings, out: Path
+) -> tuple[list[float], list[float]]:
+    """Train on the processor and on the GPU; return the losses of each."""
+    one, other = (
+        [
+            loss
+            for _, loss, _ in train_on(
+                replace(settings, device=device), out=out / device / "w.safetensors"
+            ).curve
+        ]
+        for device in ("cpu", GPU)
+    )
+    return one, other
 
 
 def test_a_gpu_is_chosen_by_itself() -> None:
@@ -69,15 +79,9 @@ def test_a_segmentation_network_begins_with_the_loss_of_the_processor_and_learns
     tmp_path: Path, card: WeightsCard, proved: bool
 ) -> None:
     sets = _sets(proved=proved)
-    one, other = (
-        train(
-            *(sets, {"wall": sets[-1]}, card, _schedule(device, SETTINGS)),
-            out=tmp_path / device / "w.safetensors",
-        )
-        for device in ("cpu", GPU)
-    )
-    assert np.allclose(_losses(one)[:1], _losses(other)[:1], rtol=0.3)
-    assert np.isfinite(_losses(other)).all()
+    one, other = _losses_of_both(partial(train, sets, {"wall": sets[-1]}, card), SETTINGS, tmp_path)
+    assert np.allclose(one[:1], other[:1], rtol=0.3)
+    assert np.isfinite(other).all()
 
 
 def test_flowstep3d_is_trained_with_the_losses_of_the_processor(tmp_path: Path) -> None:
@@ -88,28 +92,18 @@ def test_flowstep3d_is_trained_with_the_losses_of_the_processor(tmp_path: Path) 
         files.append(tmp_path / f"{number:06d}.npz")
         cloud.write(files[-1])
     pairs = pairs_of(files)
-    one, other = (
-        train_flow(
-            *(pairs, {"log": pairs[:1]}, flow.CARD, DEFAULT, _schedule(device, flow.SETTINGS)),
-            out=tmp_path / device / "flowstep3d.safetensors",
-        )
-        for device in ("cpu", GPU)
-    )
-    assert np.allclose(_losses(one), _losses(other), rtol=0.1)
+    learn = partial(train_flow, pairs, {"log": pairs[:1]}, flow.CARD, DEFAULT)
+    one, other = _losses_of_both(learn, flow.SETTINGS, tmp_path)
+    assert np.allclose(one, other, rtol=0.1)
 
 
 def test_gndnet_is_trained_with_the_losses_of_the_processor(tmp_path: Path) -> None:
     files = ground_clouds.clouds_of_streets(
         tmp_path / "streets", streets=1, sensors=["hdl32"], seed=2, columns=360
     )
-    one, other = (
-        train_ground(
-            *(files[:-1], {"street": files[-1:]}, ground.CARD, _schedule(device, ground.SETTINGS)),
-            out=tmp_path / device / "gndnet.safetensors",
-        )
-        for device in ("cpu", GPU)
-    )
-    assert np.allclose(_losses(one), _losses(other), rtol=0.1)
+    learn = partial(train_ground, files[:-1], {"street": files[-1:]}, ground.CARD)
+    one, other = _losses_of_both(learn, ground.SETTINGS, tmp_path)
+    assert np.allclose(one, other, rtol=0.1)
 
 
 def test_delora_is_trained_with_the_losses_of_the_processor(tmp_path: Path) -> None:
@@ -117,11 +111,6 @@ def test_delora_is_trained_with_the_losses_of_the_processor(tmp_path: Path) -> N
         tmp_path / "streets", streets=1, sensors=["hdl32"], seed=2, columns=360, firings=360
     )
     pairs = pairs_of(made)
-    one, other = (
-        train_odometry(
-            *(pairs, {"street": pairs[:1]}, odometry.CARD, _schedule(device, odometry.SETTINGS)),
-            out=tmp_path / device / "delora.safetensors",
-        )
-        for device in ("cpu", GPU)
-    )
-    assert np.allclose(_losses(one), _losses(other), rtol=0.1)
+    learn = partial(train_odometry, pairs, {"street": pairs[:1]}, odometry.CARD)
+    one, other = _losses_of_both(learn, odometry.SETTINGS, tmp_path)
+    assert np.allclose(one, other, rtol=0.1)

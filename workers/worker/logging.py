@@ -65,9 +65,9 @@ def log_mined(report: MiningReport, *, seconds: float) -> None:
 def _log_damage(damage: Iterable[Damage]) -> None:
     every = list(damage)
     for each in every:
-        if not each.bytes:
+        if each.is_notice:
             log.warning("noticed in a log, which is mined", key=each.key, problem=each.what)
-    found = [each for each in every if each.bytes]
+    found = [each for each in every if not each.is_notice]
     if found:
         log.warning(
             "damaged log: unreadable stretches skipped",

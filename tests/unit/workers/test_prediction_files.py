@@ -134,6 +134,11 @@ def parquet_of_boxes(path: Path, *, frame_id: str = "", without: str = "") -> No
     path.write_bytes(out.getvalue())
 
 
+def replace_column(file: Path, name: str, values: pa.Array | pa.ChunkedArray) -> None:
+    table = parquet.read_table(file)
+    parquet.write_table(table.set_column(table.column_names.index(name), name, values), file)
+
+
 def boxed(frames: list[LidarFrame]) -> list[float]:
     return [float(frame.boxes.centre_m[0, 0]) for frame in frames if frame.boxes is not None]
 
@@ -168,8 +173,7 @@ def test_stamps_that_are_no_whole_numbers_end_in_a_sentence(tmp_path: Path) -> N
     parquet_of_boxes(file)
     table = parquet.read_table(file)
     for kind in (pa.float64(), pa.timestamp("ns")):
-        stamps = table["stamp_ns"].cast(kind, safe=False)
-        parquet.write_table(table.set_column(0, "stamp_ns", stamps), file)
+        replace_column(file, "stamp_ns", table["stamp_ns"].cast(kind, safe=False))
         with pytest.raises(LogUnusableError, match=r"stamp_ns is of the type .* as int64"):
             read(write(clouds()), predictions=str(tmp_path))
 
@@ -180,27 +184,22 @@ def test_stamps_that_are_no_whole_numbers_end_in_a_sentence(tmp_path: Path) -> N
 def test_stamps_in_another_unit_are_named_with_it(tmp_path: Path, unit: str, factor: int) -> None:
     file = tmp_path / "drive.parquet"
     parquet_of_boxes(file)
-    table = parquet.read_table(file)
-    coarse = pa.array([value // factor for value in table["stamp_ns"].to_pylist()])
-    parquet.write_table(table.set_column(0, "stamp_ns", coarse), file)
+    stamps = parquet.read_table(file)["stamp_ns"].to_pylist()
+    replace_column(file, "stamp_ns", pa.array([value // factor for value in stamps]))
     with pytest.raises(LogUnusableError, match=f"stamp_ns has {unit}: .* multiply by {factor:,}"):
         read(write(clouds()), predictions=str(tmp_path))
 
 
-@pytest.mark.parametrize(("without", "of"), [("vy", "only vx of the columns vx, vy")])
-def test_half_of_a_velocity_is_refused(tmp_path: Path, without: str, of: str) -> None:
-    parquet_of_boxes(tmp_path / "drive.parquet", without=without)
-    with pytest.raises(LogUnusableError, match=of):
+def test_half_of_a_velocity_is_refused(tmp_path: Path) -> None:
+    parquet_of_boxes(tmp_path / "drive.parquet", without="vy")
+    with pytest.raises(LogUnusableError, match="only vx of the columns vx, vy"):
         read(write(clouds()), predictions=str(tmp_path))
 
 
 def test_a_yaw_in_degrees_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "drive.parquet"
     parquet_of_boxes(file)
-    table = parquet.read_table(file)
-    place = table.column_names.index("yaw")
-    degrees = pa.array([178.5] * table.num_rows)
-    parquet.write_table(table.set_column(place, "yaw", degrees), file)
+    replace_column(file, "yaw", pa.array([178.5] * 20))
     with pytest.raises(LogUnusableError, match=r"has the yaw 178.5: it needs radians"):
         read(write(clouds()), predictions=str(tmp_path))
 
@@ -220,10 +219,10 @@ def test_boxes_that_share_an_identity_have_none_and_it_is_said(tmp_path: Path) -
 def test_answers_of_another_time_are_counted_with_their_own(tmp_path: Path) -> None:
     file = tmp_path / "drive.parquet"
     parquet_of_boxes(file)
-    table = parquet.read_table(file)
+    stamps = parquet.read_table(file)["stamp_ns"].to_pylist()
     for seconds in (20, -20):
-        moved = [value + seconds * 10**9 for value in table["stamp_ns"].to_pylist()]
-        parquet.write_table(table.set_column(0, "stamp_ns", pa.array(moved)), file)
+        moved = [value + seconds * 10**9 for value in stamps]
+        replace_column(file, "stamp_ns", pa.array(moved))
         _, said = read(write(clouds()), predictions=str(tmp_path))
         assert len(said) == 2
         assert said[0].startswith("20 clouds have no answer")

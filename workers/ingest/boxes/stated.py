@@ -140,7 +140,7 @@ def gather(stamp_ns: int, frame_id: str, boxes: Iterable[StatedBox]) -> StatedBo
         [rigid(tuple(map(float, b.centre_m)), tuple(map(float, b.rotation))) for b in kept]
     ).reshape(-1, 4, 4)
     stated = Counter(each.track_id for each in kept if each.track_id)
-    repeated = [name for name, count in stated.items() if count > 1]
+    repeated_id = next((name for name, count in stated.items() if count > 1), "")
     return StatedBoxes(
         stamp_ns=stamp_ns if 0 < stamp_ns <= MAX_TIME_NS else 0,
         frame_id=visible(frame_id, limit=MAX_TEXT_OF_A_BOX).strip("/"),
@@ -152,11 +152,11 @@ def gather(stamp_ns: int, frame_id: str, boxes: Iterable[StatedBox]) -> StatedBo
         score=np.array([_score(each.score) for each in kept], np.float64),
         class_name=tuple(visible(each.class_name, limit=MAX_TEXT_OF_A_BOX) for each in kept),
         track_id=tuple(
-            "" if each.track_id in repeated else each.track_id[:MAX_TEXT_OF_A_BOX] for each in kept
+            "" if stated[each.track_id] > 1 else each.track_id[:MAX_TEXT_OF_A_BOX] for each in kept
         ),
         not_finite=not_finite,
         impossible_size=impossible,
-        repeated_id=visible(repeated[0], limit=MAX_TEXT_OF_A_BOX) if repeated else "",
+        repeated_id=visible(repeated_id, limit=MAX_TEXT_OF_A_BOX),
     )
 
 
