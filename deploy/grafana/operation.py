@@ -434,6 +434,14 @@ TROUBLE: Final = Row(
             queries=(Query("max (counterpoint_damaged_stretches)", "stretches"),),
         ),
         Panel(
+            title="Logs of which something was noticed",
+            description="Recordings in the bucket now of which something was noticed that costs no "
+            "byte of them, mostly answers of a model that cannot be used. `counterpoint status` "
+            "names each.",
+            unit="short",
+            queries=(Query("max (counterpoint_noticed_recordings)", "logs"),),
+        ),
+        Panel(
             title="Frames by health of their pose",
             description="Share of the mined frames. Degraded poses lower a scene's score, lost "
             "ones void it.",

@@ -182,6 +182,13 @@ def _of_ledger(backlog: Backlog, *, now_s: float) -> Iterator[Metric]:
         "loses data; `counterpoint status` names each.",
         backlog.damaged_stretches,
     )
+    yield _gauge(
+        "noticed_recordings",
+        "Recordings in the bucket of which something was noticed that costs no byte of them, such "
+        "as answers of a model that cannot be used. Worry when it grows: what cannot be used is "
+        "not compared, and cannot rank; `counterpoint status` names each.",
+        backlog.noticed,
+    )
     oldest = backlog.oldest_listed_s
     yield _gauge(
         "oldest_work_age_seconds",

@@ -19,7 +19,7 @@ from sqlalchemy import (
 from service.store.events import counter
 from service.store.overview import newest_pipeline
 from service.store.remining import RESTS_FROM, ReminingPolicy, budget_is_spent, spent_s
-from service.store.tables import DAMAGE, LEASES, PLANS, RECORDINGS, SCENES, SHARDS
+from service.store.tables import DAMAGE, DAMAGED, LEASES, PLANS, RECORDINGS, SCENES, SHARDS
 from service.store.transaction_effects import WorkKind
 from service.store.turns import NO_LIMIT
 from service.store.verdict_rows import JudgedOutcome, judged_outcomes
@@ -42,6 +42,7 @@ class Backlog:
         damaged: Current recordings that are mined only in part, by cause; each is counted once.
         damaged_stretches: Unreadable stretches of current recordings that any pipeline version
             found, so that a new one forgets none of them.
+        noticed: Current recordings of which something was noticed that costs no byte of them.
         leases_held: Leases that workers hold.
         workers: Workers that hold them.
         current_scenes: Current scenes, of any pipeline version.
@@ -56,6 +57,7 @@ class Backlog:
     recordings: dict[str, int] = field(default_factory=dict)
     damaged: dict[LogDamage, int] = field(default_factory=dict)
     damaged_stretches: int = 0
+    noticed: int = 0
     leases_held: int = 0
     workers: int = 0
     current_scenes: int = 0
@@ -79,6 +81,7 @@ def backlog(connection: Connection, policy: ReminingPolicy, *, now_s: float) -> 
         recordings=_recordings(connection, version, limit=limit, now_s=now_s),
         damaged=_damaged(connection, version),
         damaged_stretches=connection.execute(_DAMAGED_STRETCHES).scalar_one(),
+        noticed=_noticed(connection, version),
         leases_held=held.leases,
         workers=held.workers,
         current_scenes=connection.execute(_CURRENT_SCENES).scalar_one(),
@@ -179,7 +182,20 @@ def _recordings(
 
 
 def _damaged(connection: Connection, version: str) -> dict[LogDamage, int]:
-    planned = (
+    is_cut = PLANS.c.truncated_parts > 0
+    return {
+        "truncated": _planned(connection, version, is_cut),
+        "unreadable": _planned(connection, version, ~is_cut, _has_found(version, DAMAGED)),
+    }
+
+
+def _noticed(connection: Connection, version: str) -> int:
+    return _planned(connection, version, _has_found(version, ~DAMAGED))
+
+
+def _planned(connection: Connection, version: str, *which: ColumnElement[bool]) -> int:
+    """Count the current recordings with a plan that are such."""
+    planned: int = connection.execute(
         select(func.count())
         .select_from(PLANS)
         .join(RECORDINGS, _same_log(PLANS))
@@ -187,19 +203,19 @@ def _damaged(connection: Connection, version: str) -> dict[LogDamage, int]:
             PLANS.c.pipeline_version == version,
             PLANS.c.state == WorkState.DONE,
             RECORDINGS.c.is_current,
+            *which,
         )
-    )
-    has_damage = exists().where(
+    ).scalar_one()
+    return planned
+
+
+def _has_found(version: str, which: ColumnElement[bool]) -> ColumnElement[bool]:
+    return exists().where(
         DAMAGE.c.pipeline_version == version,
         DAMAGE.c.log_id == PLANS.c.log_id,
         DAMAGE.c.revision == PLANS.c.revision,
+        which,
     )
-    return {
-        "truncated": connection.execute(planned.where(PLANS.c.truncated_parts > 0)).scalar_one(),
-        "unreadable": connection.execute(
-            planned.where(PLANS.c.truncated_parts == 0, has_damage)
-        ).scalar_one(),
-    }
 
 
 def _logs_with_shards(connection: Connection, version: str, which: ColumnElement[bool]) -> set[str]:
@@ -245,7 +261,7 @@ _CURRENT_SCENES: Final = select(func.count()).select_from(SCENES).where(SCENES.c
 _DAMAGED_STRETCHES: Final = select(func.count()).select_from(
     select(DAMAGE.c.log_id, DAMAGE.c.object_key, DAMAGE.c.byte_offset)
     .join(RECORDINGS, _same_log(DAMAGE))
-    .where(RECORDINGS.c.is_current)
+    .where(RECORDINGS.c.is_current, DAMAGED)
     .distinct()
     .subquery()
 )

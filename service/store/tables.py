@@ -146,6 +146,8 @@ DAMAGE: Final = Table(
     _number("byte_count"),
     _text("what"),
 )
+DAMAGED: Final = DAMAGE.c.byte_count > 0
+"""True for a stretch that cannot be read; the others are notices, which cost no byte."""
 
 SCENES: Final = Table(
     "scenes",

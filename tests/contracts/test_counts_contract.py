@@ -255,25 +255,29 @@ class CountsContract(StoreContract):
             return world.ledger.backlog().damaged
 
         scratch = Damage(key="x.mcap", offset=4, bytes=8, what="CRC differs")
+        notice = Damage(key="x.mcap", offset=0, bytes=0, what="no box has a class")
         plans = {
             "cut": plan("cut", truncated_parts=2, damage=(scratch,)),
             "refused": plan("refused", truncated_parts=1, shards=(), refused="no lidar"),
-            "scratched": plan("scratched", damage=(scratch, scratch)),
+            "noticed": plan("noticed", damage=(notice, notice)),
+            "scratched": plan("scratched", damage=(scratch, scratch, notice)),
             "torn": plan("torn"),
             "whole": plan("whole"),
         }
         world.planner = lambda recording: plans[recording.log_id]
         world.listed(*plans)
         assert damaged() == {"truncated": 0, "unreadable": 0}
+        assert world.ledger.backlog().noticed == 0
         world.plan_all()
         assert damaged() == {"truncated": 1, "unreadable": 1}
+        assert world.ledger.backlog().noticed == 2
         while isinstance(lease := world.claim(), MineLease):
             found = (scratch,) if lease.shard.log_id == "torn" else ()
             records = mined(lease.shard)
             request = shard_commit(lease, records).model_copy(update={"damage": found})
             assert world.ledger.commit(request, records).ok
         assert damaged() == {"truncated": 1, "unreadable": 2}
-        assert [log.truncated_parts for log in world.ledger.status().logs] == [2, 1, 0, 0, 0]
+        assert [log.truncated_parts for log in world.ledger.status().logs] == [2, 0, 1, 0, 0, 0]
         plans["cut"] = plan("cut")  # the whole object has arrived
         rest = [recording(log_id) for log_id in ("torn", "whole")]
         world.ledger.sync_recordings([recording("cut", etag="whole"), *rest])

@@ -16,7 +16,8 @@ class DamagedStretchesContract(StoreContract):
     def test_each_counts_once_for_as_long_as_it_lies_there(self, world: World) -> None:
         def planner(of: Recording) -> LogPlan:
             found = (at(4), at(4), at(90)) if of.parts[0].etag.endswith("-a") else ()
-            return plan_of(of.log_id, shards=2).model_copy(update={"damage": found})
+            noticed = Damage(key="part.mcap", offset=1, bytes=0, what="no class")
+            return plan_of(of.log_id, shards=2).model_copy(update={"damage": (noticed, *found)})
 
         def mine(version: str) -> None:
             while isinstance(lease := world.claim(version=version), MineLease):

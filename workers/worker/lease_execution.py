@@ -177,7 +177,7 @@ class LeaseExecution:
         self.metrics.mined(
             report.stats(),
             scenes=report.scenes,
-            damaged=len(report.damage),
+            damage=report.damage,
             odometry_frames=report.odometry,
             blind_frames=report.blindness,
             motion_points=report.labels,

@@ -1,6 +1,6 @@
 """Every metric of the workers and of their pool, with its labels and alarm conditions."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from itertools import product
 from typing import Final, Literal, TypeVar, get_args
 
@@ -16,7 +16,7 @@ from schemas.frame import OdometryState
 from schemas.labels import Blindness
 from schemas.score import SceneScore
 from schemas.task import MOTION
-from schemas.work import LogPlan, MiningStats
+from schemas.work import Damage, LogPlan, MiningStats
 from workers.stage_timing import Stage
 
 NAMESPACE: Final = "counterpoint"
@@ -227,7 +227,7 @@ class WorkerMetrics:
         """Count the reads and findings of planning."""
         self._bytes_read.labels("plan").inc(plan.bytes_read)
         self._range_reads.labels("plan").inc(plan.range_reads)
-        self._damaged_chunks.inc(len(plan.damage))
+        self._damaged_chunks.inc(_unreadable(plan.damage))
         self._truncated_parts.inc(truncated_parts)
 
     def plan_committed(self, seconds: float) -> None:
@@ -239,7 +239,7 @@ class WorkerMetrics:
         stats: MiningStats,
         *,
         scenes: int,
-        damaged: int,
+        damage: Iterable[Damage],
         odometry_frames: Mapping[OdometryState, int],
         blind_frames: Mapping[Blindness, int],
         motion_points: Mapping[str, int],
@@ -249,14 +249,14 @@ class WorkerMetrics:
         Args:
             stats: Sums over the attempt.
             scenes: Number of published scenes.
-            damaged: Stretches that could not be read.
+            damage: Stretches that could not be read, and notices.
             odometry_frames: Frames by the health of their pose.
             blind_frames: Frames without labels of the self-supervised stream, by cause.
             motion_points: Returns by that stream's label, by name.
         """
         self._frames.inc(stats.frames)
         self._scenes.inc(scenes)
-        self._damaged_chunks.inc(damaged)
+        self._damaged_chunks.inc(_unreadable(damage))
         self._bytes_read.labels("mine").inc(stats.bytes_read)
         self._bytes_needed.inc(stats.bytes_needed)
         self._range_reads.labels("mine").inc(stats.range_reads)
@@ -392,3 +392,7 @@ def _with_series(metric: Metric, labels: Mapping[str, tuple[str, ...]]) -> Metri
         for combination in product(*labels.values()):
             metric.labels(*combination)
     return metric
+
+
+def _unreadable(damage: Iterable[Damage]) -> int:
+    return sum(not each.is_notice for each in damage)

@@ -12,7 +12,7 @@ from schemas.errors import TransientError
 from schemas.frame import OdometryState
 from schemas.labels import Blindness
 from schemas.score import StreamHealth
-from schemas.work import LogPlan, MiningStats
+from schemas.work import Damage, LogPlan, MiningStats
 from tests.factories import scene_score
 from workers.pool.metrics_folder import MetricsFolder
 from workers.pool.shared_metrics import FILE_BYTES, SharedMetrics, count_in
@@ -55,10 +55,12 @@ def test_a_shard_is_counted_by_what_it_took_and_found() -> None:
         frames=20, bytes_read=110, bytes_needed=100, range_reads=3, peak_memory_bytes=7
     )
     health = {OdometryState.HEALTHY: 18, OdometryState.LOST: 2}
+    torn = Damage(offset=4, bytes=8, what="CRC differs")
+    noticed = Damage(offset=0, bytes=0, what="answers without a class")
     metrics.mined(
         stats,
         scenes=1,
-        damaged=4,
+        damage=[torn] * 4 + [noticed],
         odometry_frames=health,
         blind_frames={Blindness.NO_FIT: 3},
         motion_points={"static": 70, "unknown": 30},
