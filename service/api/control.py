@@ -329,16 +329,16 @@ class Control:
         return self._ledger.choices(causes=self._causes)
 
     def answer_retry(self, request: RetryRequest) -> RetryReply:
-        """Try parked work again."""
-        retried = self._ledger.retry(request.log_ids)
+        """Try parked work, or refused plans, again."""
+        retried = self._ledger.retry(request.log_ids, refused=request.refused)
         for log_id, works in groupby(retried, key=attrgetter("log_id")):
-            parked = list(works)
+            ended = list(works)
             log.info(
-                "parked work is tried again",
+                "work is tried again",
                 log_id=log_id,
-                works=len(parked),
-                shard=parked[0].shard or None,
-                before=parked[0].error,
+                works=len(ended),
+                shard=ended[0].shard or None,
+                before=ended[0].error,
             )
         return RetryReply(retried=tuple(retried))
 

@@ -181,14 +181,19 @@ class SceneRequest(BaseModel):
 
 
 class RetryRequest(BaseModel):
-    """Request to retry parked work."""
+    """Request to retry parked work, or to plan refused logs again."""
 
     model_config = _STRICT
 
     log_ids: tuple[LogId, ...] | None = Field(
         default=None,
         max_length=MAX_LOGS_NAMED,
-        description="Logs whose work is retried; None: all parked work.",
+        description="Logs whose work is retried, refused plans included; None: all parked work.",
+    )
+    refused: bool = Field(
+        default=False,
+        exclude_if=lambda value: not value,
+        description="Without names, plan all refused logs again in place of parked work.",
     )
 
 

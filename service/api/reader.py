@@ -110,8 +110,10 @@ class Reader(Protocol):
         """Return the progress of planning and mining."""
         ...
 
-    def retry(self, log_ids: Sequence[str] | None = None) -> list[ParkedWork]:
-        """Retry parked work, of these logs or all; return what was parked."""
+    def retry(
+        self, log_ids: Sequence[str] | None = None, *, refused: bool = False
+    ) -> list[ParkedWork]:
+        """Retry parked work, of these logs or all, or all `refused` logs; return what it was."""
         ...
 
     def exported(self, request: ExportedRequest) -> int:

@@ -166,16 +166,18 @@ class StateReader:
         with self._ledger() as ledger:
             return ledger.selections.listed()
 
-    def retry(self, log_ids: Sequence[str] | None = None) -> list[ParkedWork]:
-        """Mark parked work for a retry by the next run, of these logs or all.
+    def retry(
+        self, log_ids: Sequence[str] | None = None, *, refused: bool = False
+    ) -> list[ParkedWork]:
+        """Mark parked work, of these logs or all, or all `refused` logs for the next run.
 
         Raises:
             UsageError: If a service runs on this state, since it is the only writer.
             NothingFoundError: If one of these logs is not in the bucket.
         """
-        asked = checked_request(RetryRequest, log_ids=log_ids)
+        asked = checked_request(RetryRequest, log_ids=log_ids, refused=refused)
         with self._ledger_to_write(what="retry") as ledger:
-            return ledger.retry(asked.log_ids)
+            return ledger.retry(asked.log_ids, refused=asked.refused)
 
     def exported(self, request: ExportedRequest) -> int:
         """Note an export in the audit log; return the number of its row.

@@ -1,4 +1,4 @@
-"""Verb `retry`: tries parked work again, once the cause of its failure is fixed."""
+"""Verb `retry`: tries parked work and refused logs again, once the cause is fixed."""
 
 from typing import Annotated
 
@@ -21,6 +21,13 @@ def retry(
         typer.Argument(metavar="[LOG_ID]...", help="Log ids, as listed by `counterpoint status`."),
     ] = None,
     everything: Annotated[bool, typer.Option("--all", help="Retry all parked work.")] = False,
+    refused: Annotated[
+        bool,
+        typer.Option(
+            "--refused",
+            help="Plan all refused logs again, as when their predictions have come since.",
+        ),
+    ] = False,
     connect: Connect = None,
     state: StateToRead = None,
     database: Database = None,
@@ -29,13 +36,17 @@ def retry(
 ) -> None:
     """Try parked plans and shards again, with all their attempts; finished work stays done.
 
-    Of named logs, scenes whose overlays were deleted for the disk budget are mined again too.
+    Named logs that were refused are planned again, and their scenes whose overlays were deleted for
+    the disk budget are mined again too.
     """
-    if bool(log_ids) is everything:
-        raise UsageError("name the logs to retry, or give --all for all parked work")
-    wanted = None if everything else log_ids
+    if bool(log_ids) + everything + refused != 1:
+        raise UsageError(
+            "name the logs to retry, or give --all for all parked work, or --refused for all "
+            "refused logs"
+        )
+    wanted = log_ids or None
     source = reader(config, connect=connect, state=state, database=database)
-    retried = source.retry(wanted)
+    retried = source.retry(wanted, refused=refused)
     if json:
         for work in retried:
             json_line(work)
@@ -47,6 +58,6 @@ def retry(
         )
     without = sorted(set(wanted or ()) - {work.log_id for work in retried})
     for log_id in without:
-        remark(f"nothing of {log_id} is parked")
-    if everything and not retried:
-        remark("nothing is parked")
+        remark(f"nothing of {log_id} is parked or refused")
+    if not wanted and not retried:
+        remark("nothing is refused" if refused else "nothing is parked")

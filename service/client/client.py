@@ -117,12 +117,13 @@ class ControlClient:
         """Return the progress of planning and mining."""
         return self._answer(Status, "status")
 
-    def retry(self, log_ids: Sequence[str] | None = None) -> list[ParkedWork]:
-        """Retry parked work, of these logs or all; return what was parked."""
+    def retry(
+        self, log_ids: Sequence[str] | None = None, *, refused: bool = False
+    ) -> list[ParkedWork]:
+        """Retry parked work, of these logs or all, or all `refused` logs; return what it was."""
         wanted = None if log_ids is None else tuple(log_ids)
-        return list(
-            self._answer(RetryReply, "retry", checked_request(RetryRequest, log_ids=wanted)).retried
-        )
+        request = checked_request(RetryRequest, log_ids=wanted, refused=refused)
+        return list(self._answer(RetryReply, "retry", request).retried)
 
     def exported(self, request: ExportedRequest) -> int:
         """Note an export in the audit log; return the number of its row."""

@@ -61,5 +61,6 @@ def activity(request: Request, asked: Annotated[ActivityRequest, Query()]) -> Re
 
 @route(router, "retry", summary="Retry parked work")
 def retry(request: Request, asked: RetryRequest) -> Response:
-    """Retry parked work, of these logs or all; return what was parked."""
-    return answer(RetryReply(retried=tuple(source_of(request).retry(asked.log_ids))))
+    """Retry parked work, of these logs or all, or all refused logs; return what it was."""
+    retried = source_of(request).retry(asked.log_ids, refused=asked.refused)
+    return answer(RetryReply(retried=tuple(retried)))

@@ -286,14 +286,16 @@ class Ledger:
                 connection, worker_id, now_s=self._now_s(), policy=self._policy
             )
 
-    def retry(self, log_ids: Sequence[str] | None = None) -> list[ParkedWork]:
-        """Open parked work again, with all attempts, and return it: of these logs, or all of it.
+    def retry(
+        self, log_ids: Sequence[str] | None = None, *, refused: bool = False
+    ) -> list[ParkedWork]:
+        """Open parked work, of these logs or all, or all refused plans again, and return it.
 
         Raises:
             NothingFoundError: If one of these logs is not in the bucket; then nothing is changed.
         """
         with self._store.writing() as connection:
-            retried = retrying.retry(connection, log_ids)
+            retried = retrying.retry(connection, log_ids, refused=refused)
             audit.retried(connection, retried, now_s=self._now_s())
             return retried
 

@@ -5,12 +5,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from schemas.work import MineLease, PlanLease
+from schemas.work import Damage, LogPlan, MineLease, PlanLease
 from service.curation.status import ParkedWork
 from service.errors import NothingFoundError
 from service.store.engine import Store
 from tests.contracts.databases import OnPostgres, OnSqlite
-from tests.contracts.ledger_world import World, expected_scenes, recording
+from tests.contracts.ledger_world import World, expected_scenes, plan_of, recording
 
 
 def park(world: World, lease: PlanLease | MineLease) -> None:
@@ -98,6 +98,32 @@ class RetryContract(ABC):
         assert world.ledger.backlog().recordings["waiting"] == 1
         assert len(world.mine_all()) == 3
         assert world.ledger.status().logs_by_state == {"done": 1}
+
+    def test_a_refused_log_is_planned_again_where_it_is_asked_for(self, world: World) -> None:
+        bent = Damage(key="x.mcap", offset=4, bytes=8, what="CRC differs")
+        answer = "no predictions for it"
+
+        def plan(log_id: str, *, refused: str) -> LogPlan:
+            made = plan_of(log_id, shards=2, refused=refused)
+            return made.model_copy(update={"damage": (bent,)})
+
+        world.planner = lambda recording: plan(recording.log_id, refused=answer)
+        world.listed("a", "b", "c")
+        assert world.mine_all() == []
+        assert world.ledger.retry() == [], "refused is not parked"
+        assert world.ledger.status().logs_by_state == {"refused": 3}
+        assert [work.error for work in world.ledger.retry(["b"])] == [answer]
+        assert world.mine_all() == []
+        assert world.ledger.status().logs_by_state == {"refused": 3}, "nothing came meanwhile"
+        world.planner = lambda recording: plan(recording.log_id, refused="")
+        assert [work.log_id for work in world.ledger.retry(refused=True)] == ["a", "b", "c"]
+        assert world.ledger.retry(refused=True) == []
+        world.mine_all()
+        status = world.ledger.status()
+        assert status.logs_by_state == {"done": 3}
+        assert {log.log_id: log.damage for log in status.logs} == dict.fromkeys("abc", (bent,))
+        scenes = {scene.scene_id: scene.sha256 for scene in world.ledger.current_scenes()}
+        assert scenes == expected_scenes(["a", "b", "c"], shards=2)
 
     def test_status_says_what_is_tried_again_until_it_is_done_or_fails(self, world: World) -> None:
         two_logs_with_a_shard_parked_in_each(world)

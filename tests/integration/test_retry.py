@@ -36,9 +36,9 @@ def test_the_service_opens_it_and_says_so(tmp_path: Path) -> None:
         with structlog.testing.capture_logs() as events:
             assert [work.log_id for work in client.retry()] == ["a"]
             assert client.retry(["a", "b"]) == []
-        assert [event for event in events if event["event"].startswith("parked")] == [
+        assert [event for event in events if event["event"].startswith("work")] == [
             {
-                "event": "parked work is tried again",
+                "event": "work is tried again",
                 "log_level": "info",
                 "log_id": "a",
                 "works": 1,
