@@ -76,13 +76,17 @@ def run_embedded(
 
     Raises:
         NothingFoundError: With `once`, if the bucket has no log, or no log has a lidar.
+        BucketRefusedError: If the folder of logs or predictions does not exist.
         UsageError: With `standby`, since a second one would take its endpoint too.
     """
     if settings.standby:
         raise UsageError("standby is for `counterpoint service`, beside a router of its own")
+    from workers.ingest.prediction_files import open_predictions
     from workers.pool.local import LocalPool
     from workers.pool.process import LogStyle
 
+    if settings.predictions:
+        open_predictions(settings.predictions)
     with ExitStack() as opened:
         stop = opened.enter_context(stop_on_signals(partial(remark, DRAINING)))
         bucket = open_bucket(settings.bucket)

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from schemas.canonical import canonical_json
-from schemas.errors import ObjectChangedError
+from schemas.errors import BucketRefusedError, ObjectChangedError
 from schemas.frame import RecordedLabels
 from schemas.recorded_source import PredictionFiles
 from schemas.semantickitti import MOVABLE, MOVING, PLAIN
@@ -32,6 +32,18 @@ SAMPLED_FILES: Final = 8
 """Files that are read to see if any label of a log moves."""
 
 
+def open_predictions(url: str) -> Bucket:
+    """Open the folder or bucket of the setting `predictions`.
+
+    Raises:
+        BucketRefusedError: If it is none, or does not exist.
+    """
+    try:
+        return open_bucket(url)
+    except BucketRefusedError as error:
+        raise BucketRefusedError(f"predictions: {error}") from None
+
+
 def find_prediction_files(url: str, log_id: str) -> tuple[PredictionFiles, str]:
     """Find the files of a log, by its whole name and by the last part of it.
 
@@ -45,7 +57,7 @@ def find_prediction_files(url: str, log_id: str) -> tuple[PredictionFiles, str]:
     Raises:
         LogUnusableError: If there are none; the message names what was looked for.
     """
-    bucket = open_bucket(url)
+    bucket = open_predictions(url)
     names = list(dict.fromkeys((log_id, log_id.rpartition("/")[2])))
     for name in names:
         for key in (pattern.format(name=name) for pattern in BOX_FILES):
@@ -73,7 +85,7 @@ class LabelFiles:
     """
 
     def __init__(self, url: str, files: PredictionFiles, classes_json: str) -> None:
-        self._bucket = open_bucket(url)
+        self._bucket = open_predictions(url)
         self._files = files
         self._classes = recorded_classes(classes_json)
 

@@ -224,7 +224,11 @@ class Worker:
             return self._fail(lease, StoppedError(f"stopped while a store fails: {error}"))
         target = _target(lease)
         repeated, self._suspect = target == self._suspect, target
-        cause = cause_of(error, context.bucket, lease.recording, repeated=repeated)
+        cause = cause_of(
+            *(error, context.bucket, lease.recording),
+            repeated=repeated,
+            predictions=context.settings.predictions,
+        )
         return self._fail(lease, cause)
 
     def _fail(self, lease: Lease, error: Exception) -> StoreTroubleError | None:

@@ -33,7 +33,7 @@ PlanOutcome = Literal[CommonOutcome, "refused", "growing"]
 growing: not yet complete."""
 
 Work = Literal["plan", "mine"]
-Store = Literal["bucket", "artifacts"]
+Store = Literal["bucket", "artifacts", "predictions"]
 StoreError = Literal["unreachable", "refused"]
 Death = Literal["crashed", "stuck", "unready", "gave_up", "stopped"]
 """Causes of a worker process's end without its pool's request.

@@ -23,6 +23,7 @@ from schemas.errors import (
 from schemas.runtime.retry import backoff_s, pause
 from schemas.transport.bucket import Bucket
 from schemas.work import Recording
+from workers.ingest.prediction_files import open_predictions
 from workers.worker.metrics import Store, StoreError, WorkerMetrics
 
 log = structlog.get_logger(__name__)
@@ -59,9 +60,14 @@ def kind_of(error: CounterpointError) -> StoreError:
 
 
 def cause_of(
-    error: CounterpointError, bucket: Bucket, recording: Recording, *, repeated: bool
+    error: CounterpointError,
+    bucket: Bucket,
+    recording: Recording,
+    *,
+    repeated: bool,
+    predictions: str = "",
 ) -> CounterpointError:
-    """Find the cause of an error while reading a log.
+    """Find the cause of an error while reading a log, or the predictions next to it.
 
     Args:
         error: The error of the bucket.
@@ -69,14 +75,20 @@ def cause_of(
         recording: The recording that was read.
         repeated: The same work ended with this error before: a stretch of an object that can never
             be read is the object's fault, though its beginning can be read.
+        predictions: The setting.
 
     Returns:
-        A `StoreTroubleError` if the bucket as a whole is in trouble, or was and no longer is; an
+        A `StoreTroubleError` if a store as a whole is in trouble, or was and no longer is; an
         `ObjectChangedError` if the log was replaced; else the error itself.
     """
     trouble = StoreTroubleError(error, store="bucket", again=lambda: _list(bucket))
     if not _works(trouble.again):
         return trouble
+    beside = StoreTroubleError(
+        error, store="predictions", again=lambda: _list(open_predictions(predictions))
+    )
+    if predictions and not _works(beside.again):
+        return beside
     try:
         # objects may be refused one by one, or be on a part of the store that is gone
         own = _works(lambda: _read_first_bytes(bucket, recording))

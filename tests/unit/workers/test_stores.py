@@ -135,6 +135,20 @@ def test_a_log_that_was_replaced_during_the_outage_is_planned_anew() -> None:
     assert isinstance(cause_of(AWAY, bucket, recording, repeated=False), ObjectChangedError)
 
 
+def test_predictions_that_are_away_are_waited_for_and_the_bucket_is_not_blamed(
+    tmp_path: Path,
+) -> None:
+    bucket, answers = FaultyBucket(), tmp_path / "answers"
+    gone = BucketRefusedError(f"predictions: the folder does not exist: {answers}")
+    cause = cause_of(*(gone, bucket, recording_in(bucket)), repeated=True, predictions=str(answers))
+    assert isinstance(cause, StoreTroubleError)
+    assert cause.store == "predictions"
+    with pytest.raises(BucketRefusedError, match="predictions: the folder does not exist"):
+        cause.again()
+    answers.mkdir()
+    cause.again()
+
+
 @pytest.mark.parametrize("error", [REFUSED, AWAY])
 def test_artifacts_that_take_nothing_are_a_trouble_to_be_waited_out(
     error: CounterpointError,

@@ -7,7 +7,6 @@ from typing import Final
 from schemas.arrays import NS_PER_S
 from schemas.boxes import RecordedBoxes
 from schemas.mining import MiningSettings
-from schemas.transport.bucket import open_bucket
 from schemas.work import BoxSource, RecordedSource, Shard
 from workers.ingest.boxes.class_meanings import ClassMeanings
 from workers.ingest.boxes.notices import BoxNotices
@@ -18,6 +17,7 @@ from workers.ingest.boxes.stated import StatedBoxes, stated_boxes
 from workers.ingest.decoding import MessageUnreadableError
 from workers.ingest.messages import MAX_TIME_NS, RawMessage
 from workers.ingest.pointcloud import DecodedCloud
+from workers.ingest.prediction_files import open_predictions
 from workers.ingest.recorded_labels import recorded_classes
 
 MAX_REPORTED: Final = 3
@@ -67,7 +67,7 @@ class BoxReader:
         if files is not None:
             self._of_file.extend(
                 read_box_file(
-                    open_bucket(settings.predictions),
+                    open_predictions(settings.predictions),
                     files.key,
                     start_ns=0 if shard.first_of_log else shard.warmup_start_ns - AROUND_NS,
                     end_ns=MAX_TIME_NS if shard.last_of_log else _end_ns(shard) + AROUND_NS,
