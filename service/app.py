@@ -211,7 +211,7 @@ class Service:
 
     def _compared(self, found: Comparison) -> None:
         """Count a comparison, and note it for the receivers of webhooks."""
-        self.metrics.compared(found.regressed > 0)
+        self.metrics.compared(not found.passed)
         if self._notes_comparisons:
             name, body = gate_notice(found)
             self._ledger.webhooks.note("gate", {name: body})

@@ -248,11 +248,12 @@ class Control:
         """Compare two versions, and count the result."""
         found = self._ledger.comparisons.compare(request)
         self._on_comparison(found)
-        if found.regressed:
+        if not found.passed:
             log.warning(
                 "a version regressed",
                 a=found.a.name,
                 b=found.b.name,
+                answers_less=found.answers_less,
                 groups=[row.group for row in found.groups if row.outcome == "regressed"][:10],
             )
         return found

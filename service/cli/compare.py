@@ -31,7 +31,7 @@ from service.errors import UsageError
 from service.output_files import need_writable, save_text
 
 EX_REGRESSED: Final = 3
-"""Exit code of a comparison in which a group regressed."""
+"""Exit code of a comparison that B did not pass."""
 
 FIELDS: Final = ("software", "pipeline", "state", "vehicle", "since", "until")
 
@@ -77,7 +77,7 @@ def compare(
     config: Config = None,
     force: Force = False,
 ) -> None:
-    """Compare two versions, and end with 3 if a kind, class or mode of tracks regressed."""
+    """Compare two versions, and end with 3 if a group of tracks regressed, or B answers less."""
     if report is not None:
         need_writable(report, option="--markdown", force=force, endings=(".md",))
     if match not in get_args(Match):
@@ -102,7 +102,7 @@ def compare(
         json_line(found)
     else:
         _say(found)
-    if found.regressed:
+    if not found.passed:
         raise typer.Exit(EX_REGRESSED)
 
 
@@ -184,11 +184,13 @@ def _say(found: Comparison) -> None:
         _say_examples(row)
     result_line(gate_sentence(found))
     for name, side, other in (("A", found.a, "B"), ("B", found.b, "A")):
+        share = side.labelled_share
+        labels = f", {100 * share:.1f} % of the returns labelled" if share < 1.0 else ""
         what = "of a log" if same else "on a kind of road"
         out = f"; {counted(side.left_out, 'scene')} {what} that {other} lacks, left out"
         remark(
             f"{name}: {counted(side.logs, 'log')}, {counted(side.scenes, 'scene')}, "
-            f"{side.hours:.3f} h{out if side.left_out else ''}"
+            f"{side.hours:.3f} h{labels}{out if side.left_out else ''}"
         )
     for line in place_lines(found, most=_MOST_PLACES):
         remark(line)

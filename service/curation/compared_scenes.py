@@ -48,6 +48,7 @@ class ComparedScene:
             It does not depend on the software under test.
         tracks: Its strong tracks on which the supervised stream errs, strongest first.
         place: Where it was recorded; None where that is not known.
+        labelled_share: Share of its returns that the supervised stream labels.
     """
 
     scene_id: str
@@ -62,6 +63,7 @@ class ComparedScene:
     moving_share: float
     tracks: tuple[TrackRecord, ...]
     place: ScenePlace | None = None
+    labelled_share: float = 1.0
 
     @property
     def hours(self) -> float:

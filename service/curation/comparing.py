@@ -32,14 +32,13 @@ from service.curation.comparison import (
     Rate,
     SideSummary,
 )
+from service.curation.comparison_answers import answers_less, labelled_share
+from service.curation.comparison_rates import Amount, per_hour
 from service.curation.comparison_statistics import (
     LEVEL,
     Numbers,
-    Road,
     Tested,
     holm,
-    over_logs,
-    over_roads,
     quantile,
 )
 from service.errors import NothingFoundError, UsageError
@@ -70,7 +69,14 @@ def compare(a: NamedSide, b: NamedSide, terms: ComparisonTerms) -> Comparison:
     tracks, has_modes = grouped_tracks(matched.a, matched.b)
     known = sorted({group for each in tracks for group in each.groups})
     kept = [group for group in known if _is_enough(group, tracks)]
-    tested = _tested(matched, tracks, kept, tolerance=terms.tolerance)
+    column = {group: at for at, group in enumerate(kept)}
+    amounts = [
+        Amount(each.side, each.scene, column[group], 1.0)
+        for each in tracks
+        for group in each.groups
+        if group in column
+    ]
+    tested = per_hour(matched, amounts, groups=len(kept), tolerance=terms.tolerance)
     rows = _rows(matched, tracks, kept, tested, terms.tolerance) if kept else []
     return Comparison(
         a=_summary(a, matched.a),
@@ -87,6 +93,7 @@ def compare(a: NamedSide, b: NamedSide, terms: ComparisonTerms) -> Comparison:
         regressed=sum(row.outcome == "regressed" for row in rows),
         improved=sum(row.outcome == "improved" for row in rows),
         groups=tuple(sorted(rows, key=_worst_first)),
+        answers_less=answers_less(matched),
     )
 
 
@@ -134,6 +141,7 @@ def _summary(side: NamedSide, kept: Sequence[ComparedScene]) -> SideSummary:
         scenes=len(kept),
         hours=round(sum(scene.hours for scene in kept), 4),
         left_out=len(side.scenes) - len(kept),
+        labelled_share=round(labelled_share(kept), 4),
     )
 
 
@@ -142,50 +150,6 @@ def _is_enough(group: Group, tracks: Sequence[ComparedTrack]) -> bool:
     members = [each for each in tracks if group in each.groups]
     logs = {each.scene.log_id for each in members}
     return len(members) >= FEWEST_TRACKS and len(logs) >= FEWEST_LOGS
-
-
-def _tested(
-    matched: Matched, tracks: Sequence[ComparedTrack], groups: Sequence[Group], *, tolerance: float
-) -> Tested:
-    if matched.roads:
-        return _tested_roads(matched, tracks, groups, tolerance=tolerance)
-    logs = {log: at for at, log in enumerate(sorted({scene.log_id for scene in matched.a}))}
-    hours = [np.zeros(len(logs)), np.zeros(len(logs))]
-    for side, scenes in enumerate((matched.a, matched.b)):
-        for scene in scenes:
-            hours[side][logs[scene.log_id]] += scene.hours
-    counts = {side: np.zeros((len(logs), len(groups))) for side in ("a", "b")}
-    column = {group: at for at, group in enumerate(groups)}
-    for each in tracks:
-        for group in each.groups:
-            if group in column:
-                counts[each.side][logs[each.scene.log_id], column[group]] += 1.0
-    as_long = np.divide(hours[0], hours[1], out=np.zeros(len(logs)), where=hours[1] > 0)
-    return over_logs(hours[0], counts["a"], counts["b"] * as_long[:, None], tolerance=tolerance)
-
-
-def _tested_roads(
-    matched: Matched, tracks: Sequence[ComparedTrack], groups: Sequence[Group], *, tolerance: float
-) -> Tested:
-    sides = (("a", matched.a, matched.road_a), ("b", matched.b, matched.road_b))
-    keys = sorted({(side, scene.log_id) for side, scenes, _ in sides for scene in scenes})
-    logs = {key: at for at, key in enumerate(keys)}
-    hours = np.zeros((matched.roads, len(logs)))
-    road_of: dict[tuple[str, str], int] = {}
-    for side, scenes, roads in sides:
-        for scene, road in zip(scenes, roads.tolist(), strict=True):
-            hours[road, logs[side, scene.log_id]] += scene.hours
-            road_of[side, scene.scene_id] = road
-    counts = np.zeros((matched.roads, len(logs), len(groups)))
-    column = {group: at for at, group in enumerate(groups)}
-    for each in tracks:
-        road = road_of[each.side, each.scene.scene_id]
-        for group in each.groups:
-            if group in column:
-                counts[road, logs[each.side, each.scene.log_id], column[group]] += 1.0
-    is_b = np.array([side == "b" for side, _ in keys])
-    driven = [Road(hours[road], counts[road]) for road in range(matched.roads)]
-    return over_roads(driven, is_b, tolerance=tolerance)
 
 
 def _rows(

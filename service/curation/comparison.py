@@ -140,6 +140,11 @@ class SideSummary(BaseModel):
     scenes: Count = Field(description="Scored scenes that are compared.")
     hours: Finite = Field(description="Hours driven in them.")
     left_out: Count = Field(description="Scored scenes of a road, or a log, that B or A lacks.")
+    labelled_share: Share = Field(
+        default=1.0,
+        exclude_if=lambda value: value == 1.0,
+        description="Share of the returns that the supervised stream labels; absent: 1.",
+    )
 
 
 class PlaceExtent(BaseModel):
@@ -198,3 +203,14 @@ class Comparison(BaseModel):
     regressed: Count = Field(description="Groups that regressed beyond the tolerance.")
     improved: Count
     groups: tuple[ComparedGroup, ...] = Field(fail_fast=True, max_length=MAX_LISTED)
+    answers_less: bool = Field(
+        default=False,
+        exclude_if=lambda value: not value,
+        description="B labels fewer returns than A, by more than 5 % of all: what is not labelled "
+        "cannot contradict. Absent: no.",
+    )
+
+    @property
+    def passed(self) -> bool:
+        """True if no group regressed, and B answers as much as A."""
+        return not self.regressed and not self.answers_less

@@ -11,6 +11,16 @@ _WORDS: Final = {"regressed": "**regressed**", "improved": "improved", "same": "
 
 def gate_sentence(found: Comparison) -> str:
     """Return the result in one sentence."""
+    if found.answers_less:
+        a, b = (f"{100 * side.labelled_share:.0f} %" for side in (found.a, found.b))
+        return (
+            f"B answers less: it labels {b} of the returns, A {a}, and what is not labelled cannot "
+            f"contradict; {_of_groups(found)}"
+        )
+    return _of_groups(found)
+
+
+def _of_groups(found: Comparison) -> str:
     kinds = found.roads - found.places
     roads = f"{kinds} kinds of road" if kinds or not found.places else ""
     places = f"{found.places} place{'s' * (found.places > 1)}" if found.places else ""
@@ -61,17 +71,17 @@ def markdown(found: Comparison) -> str:
 
 
 def _lines(found: Comparison) -> Iterator[str]:
-    yield f"# {'Regression' if found.regressed else 'No regression'}: B against A"
+    yield f"# {'No regression' if found.passed else 'Regression'}: B against A"
     yield ""
     sentence = gate_sentence(found)
     yield f"{sentence[:1].upper()}{sentence[1:]}. Tolerance: {100 * found.tolerance:.0f} %."
     yield ""
-    yield "| side | version | logs | scenes | hours | left out |"
-    yield "|---|---|---|---|---|---|"
+    yield "| side | version | logs | scenes | hours | left out | labelled |"
+    yield "|---|---|---|---|---|---|---|"
     for side, row in (("A", found.a), ("B", found.b)):
         yield (
             f"| {side} | {_cell(row.name)} | {row.logs} | {row.scenes} | {row.hours:.3f} | "
-            f"{row.left_out} |"
+            f"{row.left_out} | {100 * row.labelled_share:.1f} % |"
         )
     yield ""
     yield "Rates are strong tracks on which the supervised stream errs, per hour driven, with 95 %"

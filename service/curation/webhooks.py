@@ -151,7 +151,7 @@ def gate_notice(found: Comparison) -> tuple[str, Mapping[str, object]]:
     body = {
         "a": found.a.name,
         "b": found.b.name,
-        "passed": not found.regressed,
+        "passed": found.passed,
         "result": gate_sentence(found),
         "tolerance": found.tolerance,
         "comparisons": found.comparisons,

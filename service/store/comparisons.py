@@ -179,6 +179,7 @@ def _scene(row: Any) -> ComparedScene:
         moving_share=moving / compared if compared else 0.0,
         tracks=_reasons(record["tracks"]),
         place=place_in(record),
+        labelled_share=(record.get("supervised") or {}).get("labelled_share", 1.0),
     )
 
 

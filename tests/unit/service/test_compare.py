@@ -94,6 +94,50 @@ def test_a_class_that_regressed_is_found_and_no_other() -> None:
     assert found.groups[0].outcome == "regressed", "the worst is first"
 
 
+def silent(side: NamedSide, share: float) -> NamedSide:
+    """Let the model label that share of the returns, and contradict as much less."""
+    scenes = [
+        replace(
+            scene, labelled_share=share, tracks=scene.tracks[: round(share * len(scene.tracks))]
+        )
+        for scene in side.scenes
+    ]
+    return NamedSide(side.name, scenes)
+
+
+@pytest.mark.parametrize("folder", ["a", "b"], ids=["the same logs", "the same roads"])
+def test_a_version_that_falls_silent_does_not_pass(folder: str) -> None:
+    before = version(range(12), USUAL, name="1", seed=1, folder="a")
+    after = version(range(12), USUAL, name="2", seed=1 if folder == "a" else 2, folder=folder)
+    quiet = silent(after, 0.5)
+    found = compare(before, quiet, ComparisonTerms())
+    assert found.matched == ("logs" if folder == "a" else "roads")
+    assert found.regressed == 0
+    assert found.answers_less
+    assert not found.passed
+    assert "B answers less: it labels 50 % of the returns, A 100 %" in gate_sentence(found)
+    assert "# Regression" in markdown(found)
+    assert "| 50.0 % |" in markdown(found)
+    assert compare(quiet, quiet, ComparisonTerms()).passed, "as much as before"
+    assert not compare(quiet, after, ComparisonTerms()).answers_less
+    assert not compare(before, silent(after, 0.96), ComparisonTerms()).answers_less
+
+
+def test_a_share_that_differs_from_log_to_log_is_no_silence() -> None:
+    rng = np.random.default_rng(3)
+    before, after = (
+        NamedSide(
+            side.name,
+            [replace(scene, labelled_share=float(rng.uniform(0.5, 1.0))) for scene in side.scenes],
+        )
+        for side in (
+            version(range(8), USUAL, name="1", seed=1, folder="a"),
+            version(range(8, 16), USUAL, name="2", seed=2, folder="b"),
+        )
+    )
+    assert not compare(before, after, ComparisonTerms()).answers_less
+
+
 def test_the_way_back_is_an_improvement() -> None:
     found = compare(
         version(range(30), WORSE, name="1", seed=1, folder="a"),
