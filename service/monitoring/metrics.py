@@ -166,8 +166,8 @@ class ServiceMetrics:
         self._comparisons = self._counter(
             "comparisons",
             "Comparisons of two versions by result; `regressed`: a kind, class or mode of tracks "
-            "occurs significantly more often in version B, or B answers less. Worry at any `regressed`: "
-            "`counterpoint compare` names the groups, and the scenes that show it.",
+            "occurs significantly more often in version B, or B answers less. Worry at any "
+            "`regressed`: `counterpoint compare` names the groups, and the scenes that show it.",
             result=COMPARED,
         )
         self._questions = self._counter(
