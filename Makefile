@@ -25,8 +25,14 @@ install: .venv/.installed  ## Make .venv with the command counterpoint in it
 	.readers/fiftyone/bin/python -m pip install --quiet --disable-pip-version-check fiftyone==1.22.1
 	@touch $@
 
+.readers/labelstudio/.installed:
+	$(PYTHON) -m venv --clear .readers/labelstudio
+	.readers/labelstudio/bin/python -m pip install --quiet --disable-pip-version-check label-studio==1.23.2
+	@touch $@
+
 readers: .readers/labelling/.installed  ## Programs of others that read exports in tests
 fiftyone: .readers/fiftyone/.installed  ## FiftyOne, for its test; with a MongoDB, 1.2 GB
+labelstudio: .readers/labelstudio/.installed  ## Label Studio, for its test; 1 GB
 
 check: .venv/.installed    ## Format, lint, types, imports: what needs no server
 	$(BIN)/ruff format --check .
@@ -61,4 +67,4 @@ demo: .venv/.installed     ## Simulated street logs, the whole system, a ranked 
 bench: .venv/.installed    ## Where the time goes, beside floors measured in the same run
 	$(BIN)/counterpoint bench pipeline
 
-.PHONY: help install readers fiftyone check check-js test integration browser golden fix demo bench
+.PHONY: help install readers fiftyone labelstudio check check-js test integration browser golden fix demo bench

@@ -1,8 +1,8 @@
 """Format `labelstudio`: a task for each scene, with a picture and a question for each track.
 
 Label Studio shows no point clouds: a person judges there which stream is wrong. `config.xml` is the
-labelling interface. Pictures are local files: the setting `LABEL_STUDIO_LOCAL_FILES_DOCUMENT_ROOT`
-names the folder of the export.
+labelling interface. Pictures are local files below the folder of the export, which the setting
+`LABEL_STUDIO_LOCAL_FILES_DOCUMENT_ROOT` names; the project needs a storage of its `images`.
 """
 
 import json
@@ -66,7 +66,8 @@ def task(scene: SceneToExport) -> dict[str, Any]:
     results: list[dict[str, Any]] = []
     for place in range(MOST_TRACKS):
         track = score.tracks[place] if place < len(score.tracks) else None
-        data[f"track_{place}"] = "" if track is None else headlines.get(track.track_id, track.kind)
+        said = "" if track is None else headlines.get(track.track_id, track.kind)
+        data[f"track_{place}"] = said and f"{place + 1}: {said}"  # as numbered on the picture
         if track is None or track.attribution is None:
             continue
         results.append(

@@ -13,9 +13,10 @@ ENVIRONMENTS: Final = HERE.parents[1] / ".readers"
 HOW: Final = {
     "labelling": "make readers",
     "fiftyone": "make fiftyone (1.2 GB with its MongoDB, so no part of CI)",
+    "labelstudio": "make labelstudio (1 GB, so no part of CI)",
 }
 """Environments by name: the command that makes each."""
-OUTSIDE_CI: Final = ("fiftyone",)
+OUTSIDE_CI: Final = ("fiftyone", "labelstudio")
 
 
 def read_by(script: str, path: Path, *, environment: str = "labelling") -> Any:

@@ -8,6 +8,7 @@ import pytest
 
 from service.cli.main import main
 from tests.export_world import made_world, record
+from tests.readers.environment import read_by
 from tests.unit.service.exported_state import state_of_the_world
 
 
@@ -83,6 +84,23 @@ def with_records_of(state: Path, path: Path) -> None:
     for number, task in enumerate(tasks):
         task["data"]["record_sha256"] = sha256(encode_scene_score(mined_by_p1(record(number))))
     path.write_text(json.dumps(tasks))
+
+
+@pytest.mark.timeout(300)
+def test_a_server_of_label_studio_takes_the_export_and_returns_verdicts(
+    state: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    world = made_world(tmp_path)
+    world.export(world.selection(), "labelstudio", tmp_path / "out")
+    found = read_by("serve_labelstudio", tmp_path / "out", environment="labelstudio")
+    assert found["pictures"] == ["image/png"] * 2
+    assert found["predictions"] == 2
+    path = tmp_path / "project.json"
+    path.write_text(json.dumps(found["exported"]))
+    with_records_of(state, path)
+    assert imported(path, state, "--reviewer", "lab") == 0
+    given = [(record(number).scene_id, 0, "both", "lab-1") for number in range(2)]
+    assert verdicts(state, capsys) == given
 
 
 @pytest.mark.parametrize(
