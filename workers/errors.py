@@ -20,6 +20,10 @@ class LogUnusableError(PermanentError):
     """A log cannot be mined at all: no lidar in it, or parts that contradict each other."""
 
 
+class PredictionsMissingError(LogUnusableError):
+    """There are no predictions next to a log, or not yet."""
+
+
 class NotMcapError(PermanentError):
     """The object is not an MCAP file, or nothing of it can be read."""
 

@@ -30,7 +30,6 @@ def add_to(app: typer.Typer) -> None:
 @grouped
 def print_settings(
     *,
-    context: typer.Context,
     mining: MiningOptions,
     config: Config = None,
     json: Json = False,
@@ -40,7 +39,9 @@ def print_settings(
 ) -> None:
     """Print every setting with its value and the source of that value."""
     if markdown:
-        page(settings_page(flags_of(context.find_root().command)))
+        from service.cli.main import app_of
+
+        page(settings_page(flags_of(typer.main.get_command(app_of()))))  # flags of every verb
         return
     read = read_settings(
         config=config,

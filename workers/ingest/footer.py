@@ -22,15 +22,10 @@ TAIL_BYTES: Final = 1024 * 1024
 
 
 class StillGrowingError(TransientError):
-    """A recording that was listed a moment ago is incomplete: its upload may be in progress."""
+    """A recording that was listed a moment ago is incomplete: an upload may be in progress.
 
-    def __init__(self, *, key: str, size: int) -> None:
-        """Keep the object's key, and its present size."""
-        super().__init__(
-            f"the file has no valid footer yet ({key}, {size} bytes): it is planned when that "
-            "comes, or when it has not changed for a while"
-        )
-        self.key, self.size = key, size
+    It has no valid footer yet, or the predictions next to it have not come.
+    """
 
 
 @dataclass(frozen=True, slots=True)

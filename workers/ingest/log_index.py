@@ -128,7 +128,10 @@ def index_recording(
         reader.recent = shared
     for reader in () if settled else readers:
         if not is_closed(reader):
-            raise StillGrowingError(key=reader.key, size=reader.size)
+            raise StillGrowingError(
+                f"the file has no valid footer yet ({reader.key}, {reader.size} bytes): it is "
+                "planned when that comes, or when it has not changed for a while"
+            )
     parts: list[PartIndex] = []
     refused: list[NotMcapError] = []
     for reader in readers:

@@ -10,11 +10,11 @@ from schemas.mining import MiningSettings
 from schemas.transport.bucket import Bucket
 from schemas.visible import visible
 from schemas.work import Channel, ChunkRef, Damage, LogPlan, Recording, Shard
-from workers.errors import LogUnusableError, NotMcapError
+from workers.errors import LogUnusableError, NotMcapError, PredictionsMissingError
 from workers.ingest.camera_calibration import find_calibration
 from workers.ingest.camera_messages import has_images
 from workers.ingest.damage import DamageList, damaged
-from workers.ingest.footer import TruncatedPart
+from workers.ingest.footer import StillGrowingError, TruncatedPart
 from workers.ingest.frames import intensity_scale_of
 from workers.ingest.global_fixes import find_fixes
 from workers.ingest.identity import METADATA_RECORD, Identity, identify
@@ -64,13 +64,15 @@ def plan_recording(
         bucket: Its bucket.
         recording: Its parts.
         settings: Grid and parts.
-        settled: Use a part without a valid footer as far as it goes.
+        settled: Use a part without a valid footer as far as it goes, and refuse a log without the
+            predictions that the settings want; else both are waited for.
         on_truncated: Called with every such part.
         on_unread_labels: Called with the topic of a lidar's recorded labels, where the settings
             use another stream. With `lidar_topic` set, only labels on that topic are found.
 
     Raises:
-        StillGrowingError: If a part has no valid footer, and the recording is not settled.
+        StillGrowingError: If it is not settled, and a part has no valid footer or the predictions
+            are missing.
         ObjectChangedError: If a part is no longer the listed one.
         BucketUnreachableError: If the bucket does not answer.
     """
@@ -80,13 +82,14 @@ def plan_recording(
         return LogPlan(log_id=recording.log_id, refused=visible(str(error), limit=MAX_TEXT))
     for part in index.truncated:
         on_truncated(part)
-    return plan_index(index, settings, on_unread_labels=on_unread_labels)
+    return plan_index(index, settings, settled=settled, on_unread_labels=on_unread_labels)
 
 
 def plan_index(
     index: LogIndex,
     settings: MiningSettings,
     *,
+    settled: bool = True,
     on_unread_labels: Callable[[str], None] = lambda topic: None,
 ) -> LogPlan:
     """Plan a recording whose index is known; the arguments are those of `plan_recording`."""
@@ -143,6 +146,8 @@ def plan_index(
                     )
                 shards.append(shard)
     except LogUnusableError as error:
+        if isinstance(error, PredictionsMissingError) and not settled:
+            raise StillGrowingError(str(error)) from None
         refused, shards = visible(str(error), limit=MAX_TEXT), []
     return LogPlan(
         log_id=index.recording.log_id,

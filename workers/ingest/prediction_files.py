@@ -12,7 +12,7 @@ from schemas.frame import RecordedLabels
 from schemas.recorded_source import PredictionFiles
 from schemas.semantickitti import MOVABLE, MOVING, PLAIN
 from schemas.transport.bucket import Bucket, ObjectMeta, open_bucket
-from workers.errors import CloudUnreadableError, LogUnusableError
+from workers.errors import CloudUnreadableError, LogUnusableError, PredictionsMissingError
 from workers.ingest.limits import MAX_POINTS
 from workers.ingest.pointcloud import DecodedCloud
 from workers.ingest.recorded_labels import recorded_classes
@@ -55,7 +55,7 @@ def find_prediction_files(url: str, log_id: str) -> tuple[PredictionFiles, str]:
         The files, and the classes of their labels as JSON; empty where no file names them.
 
     Raises:
-        LogUnusableError: If there are none; the message names what was looked for.
+        PredictionsMissingError: If there are none; the message names what was looked for.
     """
     bucket = open_predictions(url)
     names = list(dict.fromkeys((log_id, log_id.rpartition("/")[2])))
@@ -68,7 +68,7 @@ def find_prediction_files(url: str, log_id: str) -> tuple[PredictionFiles, str]:
             by_stamp = len(stems[0]) >= STAMP_DIGITS
             found = PredictionFiles(kind="labels", key=f"{name}/", by_stamp=by_stamp)
             return found, _classes(bucket, name) or _usual_classes(bucket, name, stems)
-    raise LogUnusableError(
+    raise PredictionsMissingError(
         f"no predictions for {log_id}: none of {names[-1]}/000000{LABEL_SUFFIX}, "
         f"{' and '.join(each.format(name=names[-1]) for each in BOX_FILES)} is in the folder of "
         f"the setting predictions ({url})"
