@@ -1,7 +1,5 @@
 """Verbs on the installation: `config` shows the settings, `doctor` checks them."""
 
-from typing import Annotated
-
 import typer
 
 from service.cli.option_groups import MiningOptions, grouped
@@ -15,10 +13,10 @@ from service.cli.options import (
     StateDir,
     log_as,
 )
-from service.cli.output import json_line, page, progress, remark, table
+from service.cli.output import json_line, progress, remark, table
 from service.settings.config import read_settings
 from service.settings.hidden_passwords import shown
-from service.settings.table import setting_rows, settings_page
+from service.settings.table import setting_rows
 
 
 def add_to(app: typer.Typer) -> None:
@@ -33,16 +31,8 @@ def print_settings(
     mining: MiningOptions,
     config: Config = None,
     json: Json = False,
-    markdown: Annotated[
-        bool, typer.Option("--markdown", help="Print the page that documents every setting.")
-    ] = False,
 ) -> None:
     """Print every setting with its value and the source of that value."""
-    if markdown:
-        from service.cli.main import app_of
-
-        page(settings_page(flags_of(typer.main.get_command(app_of()))))  # flags of every verb
-        return
     read = read_settings(
         config=config,
         **mining.flags(),
@@ -118,14 +108,3 @@ def doctor(
     remark(f"problems: {problems}, warnings: {warnings}")
     if problems:
         raise typer.Exit(1)
-
-
-def flags_of(command: object) -> set[str]:
-    """Collect the flags of a command and of every verb below it."""
-    found = {
-        option
-        for parameter in getattr(command, "params", ())
-        for option in parameter.opts
-        if option.startswith("--")
-    }
-    return found.union(*map(flags_of, getattr(command, "commands", {}).values()))
