@@ -147,6 +147,8 @@ def scenes_of(folder: Path, *, format_names: Sequence[str]) -> list[tuple[str, s
     Raises:
         UsageError: If the folder is no export, or one in another format.
     """
+    if not folder.is_dir():
+        raise UsageError(f"no such folder: {folder}")
     lines = _lines_of(folder / NAME)
     if not lines or lines[0].get("generator") != _GENERATOR:
         raise UsageError(f"this is no folder of an export: it has no {NAME} ({folder})")
