@@ -230,6 +230,12 @@ class PlanLease(BaseModel):
         description="False: listed a moment ago, it may still grow; plan it only if every part "
         "ends in a valid footer, else fail with `growing`.",
     )
+    waits: bool = Field(
+        default=False,
+        exclude_if=lambda value: not value,
+        description="The service watches the bucket, and lets a log wait for its predictions: fail "
+        "with `awaits` while there are none.",
+    )
 
 
 class MineLease(BaseModel):
@@ -333,6 +339,12 @@ class FailRequest(BaseModel):
         default=False,
         description="Not settled and without a valid footer: wait until it has not changed for a "
         "while. No attempt is used up.",
+    )
+    awaits: bool = Field(
+        default=False,
+        exclude_if=lambda value: not value,
+        description="The predictions next to the log have not come: look again after a part of its "
+        "age. No attempt is used up.",
     )
     given_back: bool = Field(
         default=False,

@@ -37,9 +37,9 @@ LeaseEnd = Literal[
 """Cause of the end of a lease.
 
 `committed`: finished. `failed`: the worker reported an error. `expired`: not renewed.
-`worker_died`: its process died. `given_back`: returned at a stop. `growing`: the log still grows.
-`replaced`: the recording was replaced or deleted. `freed`: its pool was ended.
-`not_rescored`: an overlay is gone, so that the shard is mined.
+`worker_died`: its process died. `given_back`: returned at a stop. `growing`: the log grows, or
+awaits its predictions. `replaced`: the recording was replaced or deleted. `freed`: its pool was
+ended. `not_rescored`: an overlay is gone, so that the shard is mined.
 """
 
 FaultyPart = Literal["request", "tick", "event"]

@@ -126,7 +126,7 @@ class Settings(LockSettings, FleetSettings, MiningSettings):
         ge=0,
         le=MAX_WAIT_S,
         description="Time for which an object without a valid footer must be unchanged before it "
-        "is planned, and for which a log waits for predictions next to it.",
+        "is planned; above 0 a daemon lets a log wait for predictions next to it.",
     )
     keep_withdrawn_days: float = Field(
         default=0.0,

@@ -53,7 +53,7 @@ def claim(
         "pipeline": request.pipeline_version,
         "now_s": now_s,
         # A rest longer than any was ordered before the clock stepped back: it is over.
-        "beyond_s": now_s + max(policy.max_backoff_s, policy.settle_s),
+        "beyond_s": now_s + policy.longest_rest_s,
         "enough": policy.plan_ahead,
     }
     withheld_s = 0.0
@@ -110,6 +110,7 @@ def _claim(
                     expires_s=policy.lease_s,
                     recording=recording,
                     settled=policy.is_settled(row.listed_s, now_s=now_s),
+                    waits=policy.settle_s > 0,
                 )
             return MineLease(
                 lease_id=lease_id,

@@ -25,6 +25,13 @@ DEATHS_PER_ATTEMPT: Final = 2
 """Deaths per attempt: this many times `max_attempts` deaths park the work at the latest."""
 
 
+AWAITED_SHARE: Final = 1 / 8
+"""Pause between two looks for the predictions of a log, as a share of its age."""
+
+MOST_AWAITED_S: Final = 300.0
+"""Longest pause between two looks for the predictions of a log, seconds."""
+
+
 @dataclass(frozen=True, slots=True)
 class LeasePolicy:
     """Duration of leases, and number of attempts before work is parked.
@@ -66,6 +73,16 @@ class LeasePolicy:
         """Return true if a revision has settled; one listed in the future has not."""
         return now_s - min(listed_s, now_s) >= self.settle_s
 
+    @property
+    def longest_rest_s(self) -> float:
+        """Longest pause that is ever ordered, seconds."""
+        return max(self.max_backoff_s, self.settle_s, MOST_AWAITED_S)
+
+    def look_again_s(self, listed_s: float, *, now_s: float) -> float:
+        """Return when to look again for the predictions of a revision: after a part of its age."""
+        age_s = max(0.0, now_s - listed_s)
+        return now_s + min(max(self.settle_s, AWAITED_SHARE * age_s), MOST_AWAITED_S)
+
     def pause_s(self, attempts: int) -> float:
         """Return the pause of work after this many failures, seconds."""
         return float(min(self.max_backoff_s, self.backoff_s * 2.0 ** min(attempts - 1, 30)))
@@ -96,7 +113,11 @@ def fail(
     elif lease.is_held and request.not_rescored and lease.shard:
         _mine_instead(connection, lease)
     elif lease.is_held and request.growing and not lease.shard:
-        _let_settle(connection, lease, now_s=now_s, policy=policy)
+        settled_s = min(lease.listed_s, now_s) + policy.settle_s
+        _let_rest(connection, lease, now_s=now_s, until_s=settled_s)
+    elif lease.is_held and request.awaits and not lease.shard:
+        until_s = policy.look_again_s(lease.listed_s, now_s=now_s)
+        _let_rest(connection, lease, now_s=now_s, until_s=until_s)
     elif lease.is_held:
         end_lease(connection, lease.lease_id, by="failed")
         _give_back(
@@ -234,10 +255,8 @@ def _mine_instead(connection: Connection, lease: Row[Any]) -> None:
         )
 
 
-def _let_settle(
-    connection: Connection, lease: Row[Any], *, now_s: float, policy: LeasePolicy
-) -> None:
-    """Postpone the plan of a recording that still grows, until it is unchanged for a while."""
+def _let_rest(connection: Connection, lease: Row[Any], *, now_s: float, until_s: float) -> None:
+    """Postpone the plan of a recording that is not complete; no attempt is used up."""
     end_lease(connection, lease.lease_id, by="growing")
     work = work_of(lease)
     if row_of(connection, work).lease_id != lease.lease_id:
@@ -248,8 +267,7 @@ def _let_settle(
             .where(RECORDINGS.c.log_id == work.log_id, RECORDINGS.c.revision == work.revision)
             .values(listed_s=now_s)
         )
-    settled_s = min(lease.listed_s, now_s) + policy.settle_s
-    change(connection, work, state=WorkState.READY, lease_id="", error="", ready_at_s=settled_s)
+    change(connection, work, state=WorkState.READY, lease_id="", error="", ready_at_s=until_s)
 
 
 def _worker_died(

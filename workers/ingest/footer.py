@@ -22,10 +22,11 @@ TAIL_BYTES: Final = 1024 * 1024
 
 
 class StillGrowingError(TransientError):
-    """A recording that was listed a moment ago is incomplete: an upload may be in progress.
+    """A recording that was listed a moment ago is incomplete: its upload may be in progress."""
 
-    It has no valid footer yet, or the predictions next to it have not come.
-    """
+
+class PredictionsAwaitedError(StillGrowingError):
+    """The predictions next to a recording have not come yet."""
 
 
 @dataclass(frozen=True, slots=True)

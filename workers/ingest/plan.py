@@ -14,7 +14,7 @@ from workers.errors import LogUnusableError, NotMcapError, PredictionsMissingErr
 from workers.ingest.camera_calibration import find_calibration
 from workers.ingest.camera_messages import has_images
 from workers.ingest.damage import DamageList, damaged
-from workers.ingest.footer import StillGrowingError, TruncatedPart
+from workers.ingest.footer import PredictionsAwaitedError, TruncatedPart
 from workers.ingest.frames import intensity_scale_of
 from workers.ingest.global_fixes import find_fixes
 from workers.ingest.identity import METADATA_RECORD, Identity, identify
@@ -23,6 +23,7 @@ from workers.ingest.lidar import choose_lidars, lidar_properties
 from workers.ingest.limits import MAX_CLOUD_TOPICS
 from workers.ingest.log_index import LogIndex, index_recording
 from workers.ingest.pointcloud import is_cloud, unsupported_reason
+from workers.ingest.prediction_files import find_prediction_files
 from workers.ingest.recorded_motion import find_motion
 from workers.ingest.recorded_source import (
     FoundSource,
@@ -53,6 +54,7 @@ def plan_recording(
     settings: MiningSettings,
     *,
     settled: bool = True,
+    waits: bool = False,
     on_truncated: Callable[[TruncatedPart], None] = lambda part: None,
     on_unread_labels: Callable[[str], None] = lambda topic: None,
 ) -> LogPlan:
@@ -64,32 +66,42 @@ def plan_recording(
         bucket: Its bucket.
         recording: Its parts.
         settings: Grid and parts.
-        settled: Use a part without a valid footer as far as it goes, and refuse a log without the
-            predictions that the settings want; else both are waited for.
+        settled: Use a part without a valid footer as far as it goes.
+        waits: Wait for the predictions that the settings want, where there are none.
         on_truncated: Called with every such part.
         on_unread_labels: Called with the topic of a lidar's recorded labels, where the settings
             use another stream. With `lidar_topic` set, only labels on that topic are found.
 
     Raises:
-        StillGrowingError: If it is not settled, and a part has no valid footer or the predictions
-            are missing.
+        StillGrowingError: If a part has no valid footer, and the recording is not settled.
+        PredictionsAwaitedError: If its predictions are missing, and it waits for them.
         ObjectChangedError: If a part is no longer the listed one.
         BucketUnreachableError: If the bucket does not answer.
     """
+    if waits and settings.predictions:
+        _await_predictions(settings.predictions, recording)
     try:
         index = index_recording(bucket, recording, settled=settled)
     except (NotMcapError, LogUnusableError) as error:
         return LogPlan(log_id=recording.log_id, refused=visible(str(error), limit=MAX_TEXT))
     for part in index.truncated:
         on_truncated(part)
-    return plan_index(index, settings, settled=settled, on_unread_labels=on_unread_labels)
+    return plan_index(index, settings, on_unread_labels=on_unread_labels)
+
+
+def _await_predictions(url: str, recording: Recording) -> None:
+    try:
+        find_prediction_files(url, recording.log_id)
+    except PredictionsMissingError as error:
+        raise PredictionsAwaitedError(f"waits for its answers: {error}") from None
+    except LogUnusableError:  # said by the plan, which reads them again
+        return
 
 
 def plan_index(
     index: LogIndex,
     settings: MiningSettings,
     *,
-    settled: bool = True,
     on_unread_labels: Callable[[str], None] = lambda topic: None,
 ) -> LogPlan:
     """Plan a recording whose index is known; the arguments are those of `plan_recording`."""
@@ -146,8 +158,6 @@ def plan_index(
                     )
                 shards.append(shard)
     except LogUnusableError as error:
-        if isinstance(error, PredictionsMissingError) and not settled:
-            raise StillGrowingError(str(error)) from None
         refused, shards = visible(str(error), limit=MAX_TEXT), []
     return LogPlan(
         log_id=index.recording.log_id,

@@ -51,7 +51,8 @@ class LeaseExecution:
         """Plan a recording.
 
         Raises:
-            StillGrowingError: If it is incomplete, and was listed only a moment ago.
+            StillGrowingError: If it is incomplete, and was listed only a moment ago; or if it waits
+                for its predictions.
             BucketUnreachableError: If the bucket does not answer.
             BucketRefusedError: If the bucket refuses.
             ObjectChangedError: If a part is no longer the listed one.
@@ -66,6 +67,7 @@ class LeaseExecution:
             lease.recording,
             context.settings,
             settled=lease.settled,
+            waits=lease.waits,
             on_truncated=truncated.append,
             on_unread_labels=unread_labels.append,
         )

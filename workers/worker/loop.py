@@ -29,7 +29,7 @@ from schemas.transport import keys
 from schemas.transport.bus import client_session, recoverable_publisher
 from schemas.transport.router_watch import RouterWatch
 from schemas.work import FailRequest, Layers, MineLease, NothingToDo, PlanLease
-from workers.ingest.footer import StillGrowingError
+from workers.ingest.footer import PredictionsAwaitedError, StillGrowingError
 from workers.rescore import NotRescoredError
 from workers.worker.acceptance import refusal
 from workers.worker.config import WorkerConfig, WorkerObserver
@@ -241,7 +241,8 @@ class Worker:
         outcome = _outcome(error)
         is_plan = isinstance(lease, PlanLease)
         say = log.warning if outcome in ("failed", "replaced") else log.info
-        if outcome in ("store_away", "growing"):
+        awaits = isinstance(error, PredictionsAwaitedError)
+        if outcome in ("store_away", "growing") and not awaits:
             say = log.debug  # the wait for the store is logged; the service counts growing logs
         say(f"{'plan' if is_plan else 'shard'} {outcome.replace('_', ' ')}", problem=problem)
         if outcome == "growing":
@@ -257,7 +258,8 @@ class Worker:
                 error=problem,
                 permanent=isinstance(error, PermanentError),
                 replaced=outcome == "replaced",
-                growing=outcome == "growing",
+                growing=outcome == "growing" and not awaits,
+                awaits=awaits,
                 given_back=outcome in ("given_back", "store_away"),
                 not_rescored=outcome == "not_rescored",
             ),

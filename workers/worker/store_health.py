@@ -5,8 +5,10 @@ therefore costs no attempt, and a worker claims nothing until it works again.
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
+from itertools import chain, islice
 from threading import Event
 from typing import Final
 
@@ -21,7 +23,7 @@ from schemas.errors import (
     TransientError,
 )
 from schemas.runtime.retry import backoff_s, pause
-from schemas.transport.bucket import Bucket
+from schemas.transport.bucket import Bucket, ObjectMeta
 from schemas.work import Recording
 from workers.ingest.prediction_files import open_predictions
 from workers.worker.metrics import Store, StoreError, WorkerMetrics
@@ -30,6 +32,9 @@ log = structlog.get_logger(__name__)
 
 PROBE_KEY: Final = "counterpoint-probe"
 """Object of the artifacts that is written, and deleted again, to test write access."""
+
+PROBED_OBJECTS: Final = 3
+"""Other logs of which one must be readable where a log is not, so that the log is at fault."""
 
 FIRST_WAIT_S: Final = 1.0
 MOST_WAIT_S: Final = 30.0
@@ -96,7 +101,13 @@ def cause_of(
         return changed
     if own:
         return error if repeated and trouble.kind == "unreachable" else trouble
-    return error if _works(trouble.again) else trouble
+    if not _works(trouble.again):
+        return trouble
+    if others := _other_objects(bucket, recording):  # listing may be allowed, and reading not
+        unread = StoreTroubleError(error, store="bucket", again=lambda: _read_any(bucket, others))
+        if not _works(unread.again):
+            return unread
+    return error
 
 
 def put_artifact(artifacts: Bucket, key: str, data: bytes) -> None:
@@ -186,6 +197,35 @@ def _works(attempt: Callable[[], None]) -> bool:
 
 def _list(bucket: Bucket) -> None:
     next(bucket.list(), None)
+
+
+def _other_objects(bucket: Bucket, recording: Recording) -> list[ObjectMeta]:
+    """Return some objects that are no part of a recording, those after it first."""
+    own = {part.key for part in recording.parts}
+    after = bucket.list(start_after=recording.parts[-1].key)
+    others = (each for each in chain(after, bucket.list()) if each.size and each.key not in own)
+    found: list[ObjectMeta] = []
+    with suppress(BucketUnreachableError, BucketRefusedError):  # then the error stays the log's own
+        found.extend(islice(others, PROBED_OBJECTS))
+    return found
+
+
+def _read_any(bucket: Bucket, objects: Sequence[ObjectMeta]) -> None:
+    """Read the first byte of one of these objects.
+
+    Raises:
+        BucketUnreachableError: If the store does not answer for the last one, nor for the others.
+        BucketRefusedError: If it refuses the last one, and no other can be read.
+    """
+    for each in objects[:-1]:
+        if _works(partial(_read_first_byte, bucket, each)):
+            return
+    _read_first_byte(bucket, objects[-1])
+
+
+def _read_first_byte(bucket: Bucket, found: ObjectMeta) -> None:
+    with suppress(ObjectChangedError):  # it answers
+        bucket.read_range(found.key, 0, 1, found.etag)
 
 
 def _read_first_bytes(bucket: Bucket, recording: Recording) -> None:

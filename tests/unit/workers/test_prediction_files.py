@@ -16,7 +16,7 @@ from tests.box_logs import clouds, read, stamp, transform, write
 from tests.factories import posed
 from tests.tiny_logs import only_recording, settings
 from workers.errors import LogUnusableError
-from workers.ingest.footer import StillGrowingError
+from workers.ingest.footer import PredictionsAwaitedError
 from workers.ingest.plan import plan_recording
 from workers.ingest.read import read_shard
 from workers.supervised.box_labels import NO_MOTION
@@ -106,10 +106,10 @@ def test_no_files_are_a_refusal_that_names_what_is_wanted(tmp_path: Path) -> Non
     plan = plan_recording(bucket, only_recording(bucket), using)
     assert "drive/000000.label" in plan.refused
     assert "drive.parquet" in plan.refused
-    with pytest.raises(StillGrowingError, match="no predictions for fleet/drive"):
-        plan_recording(bucket, only_recording(bucket), using, settled=False)
+    with pytest.raises(PredictionsAwaitedError, match="no predictions for fleet/drive"):
+        plan_recording(bucket, only_recording(bucket), using, waits=True)
     label_files(tmp_path / "drive", [10])
-    assert plan_recording(bucket, only_recording(bucket), using, settled=False).shards
+    assert plan_recording(bucket, only_recording(bucket), using, waits=True).shards
 
 
 def parquet_of_boxes(path: Path, *, frame_id: str = "", without: str = "") -> None:

@@ -97,6 +97,25 @@ def test_an_object_that_fails_alone_is_its_logs_own_problem(error: CounterpointE
 
 
 @pytest.mark.parametrize("error", [REFUSED, AWAY])
+def test_a_store_that_lists_and_lets_nothing_be_read_is_waited_for(
+    error: CounterpointError,
+) -> None:
+    bucket = FaultyBucket(lambda key, size: error if key in closed else None)
+    closed: set[str] = set()
+    bucket.put("b.mcap", b"0123456789")
+    bucket.put("empty.mcap", b"")
+    recording = recording_in(bucket)
+    closed |= {"a.mcap", "b.mcap"}
+    cause = cause_of(error, bucket, recording, repeated=True)
+    assert isinstance(cause, StoreTroubleError)
+    with pytest.raises(type(error)):
+        cause.again()
+    closed.remove("b.mcap")
+    cause.again()
+    assert cause_of(error, bucket, recording, repeated=True) is error
+
+
+@pytest.mark.parametrize("error", [REFUSED, AWAY])
 def test_an_outage_that_is_over_by_now_costs_nothing(error: CounterpointError) -> None:
     _, cause = judged(error, lambda key, size: None)
     assert isinstance(cause, StoreTroubleError)
