@@ -10,9 +10,11 @@ import pytest
 
 from schemas.errors import BucketRefusedError
 from schemas.transport.overlay_codec import decode_overlay
+from schemas.transport.recordings import group_recordings
 from tests.integration.conftest import SHARD_S, SHARDS, Undisturbed, key_of
 from tests.integration.daemons import QUICK
 from tests.integration.object_store import OVERLAYS, READ, Ceph
+from workers.worker.store_health import StoreTroubleError, cause_of
 
 pytestmark = [pytest.mark.integration, pytest.mark.timeout(900)]
 
@@ -67,3 +69,21 @@ def test_an_op_mask_of_reading_lists_and_reads_and_nothing_else(ceph: Ceph) -> N
     with pytest.raises(BucketRefusedError, match="denies these credentials writing here"):
         bucket.put("a", b"456")
     assert ceph.open(name).read_all("a") == b"123"
+
+
+def test_a_bucket_that_may_be_listed_only_is_waited_for(ceph: Ceph) -> None:
+    user, logs = ceph.make_user(), ceph.make_bucket()
+    owner = ceph.open(logs)
+    for name in ("a", "b"):
+        owner.put(f"{name}.mcap", b"0123456789")
+    ceph.allow(logs, {user: ("s3:ListBucket",)})
+    bucket = ceph.open(logs, user)
+    (recording, _) = group_recordings(bucket.list())
+    with pytest.raises(BucketRefusedError) as caught:
+        bucket.read_range("a.mcap", 0, 1, recording.parts[0].etag)
+    cause = cause_of(caught.value, bucket, recording, repeated=True)
+    assert isinstance(cause, StoreTroubleError)
+    with pytest.raises(BucketRefusedError):
+        cause.again()
+    ceph.allow(logs, {user: READ})
+    cause.again()

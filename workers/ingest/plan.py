@@ -93,7 +93,7 @@ def _await_predictions(url: str, recording: Recording) -> None:
     try:
         find_prediction_files(url, recording.log_id)
     except PredictionsMissingError as error:
-        raise PredictionsAwaitedError(f"waits for its answers: {error}") from None
+        raise PredictionsAwaitedError(str(error)) from None
     except LogUnusableError:  # said by the plan, which reads them again
         return
 

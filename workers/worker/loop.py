@@ -242,9 +242,12 @@ class Worker:
         is_plan = isinstance(lease, PlanLease)
         say = log.warning if outcome in ("failed", "replaced") else log.info
         awaits = isinstance(error, PredictionsAwaitedError)
-        if outcome in ("store_away", "growing") and not awaits:
+        if outcome in ("store_away", "growing"):
             say = log.debug  # the wait for the store is logged; the service counts growing logs
-        say(f"{'plan' if is_plan else 'shard'} {outcome.replace('_', ' ')}", problem=problem)
+        if awaits and isinstance(lease, PlanLease) and not lease.settled:
+            log.info("log waits for its predictions", problem=problem)  # said once
+        else:
+            say(f"{'plan' if is_plan else 'shard'} {outcome.replace('_', ' ')}", problem=problem)
         if outcome == "growing":
             self._metrics.plan_ended("growing")
         elif outcome == "not_rescored":
