@@ -213,9 +213,10 @@ def _take_back(ledger: Ledger, worker_id: str) -> None:
 
 
 def _refuse_when_nothing_was_minable(status: Status, bucket: Bucket) -> None:
-    states = {log.state for log in status.logs}
-    if states == {"refused"}:
-        first = status.logs[0]
+    refused = [log for log in status.logs if log.state == "refused"]
+    others = {log.state for log in status.logs} - {"refused", "same"}
+    if refused and not others:
+        first = refused[0]
         raise NothingFoundError(
             f"no log in {bucket.url} can be mined; {first.log_id}: {first.problem}"
         )

@@ -11,6 +11,7 @@ from schemas.frame import LidarFrame
 from schemas.transport.bucket import Bucket, open_bucket
 from tests.box_messages import Box, Written, header, ros2, xyz
 from tests.tiny_logs import BEGIN_NS, CLOUD_TYPE, LIDAR, only_recording, ring, settings
+from workers.errors import LogUnusableError
 from workers.ingest.plan import plan_recording
 from workers.ingest.read import read_shard
 from workers.ingest.ros_definitions import ROS2_DEFINITIONS
@@ -86,13 +87,18 @@ def write(messages: Sequence[Put], *, classes: dict[str, dict[str, object]] | No
 def read(
     log: bytes, *, predictions: str = "", bucket: Bucket | None = None
 ) -> tuple[list[LidarFrame], list[str]]:
-    """Read a log's frames with the model's answer, and what was said of it."""
+    """Read a log's frames with the model's answer, and what was said of it.
+
+    Raises:
+        LogUnusableError: If the log is refused.
+    """
     bucket = bucket or open_bucket("memory://")
     bucket.put("fleet/drive.mcap", log)
     using = settings(supervised="recorded").model_copy(update={"predictions": predictions})
     recording = only_recording(bucket)
     plan = plan_recording(bucket, recording, using)
-    assert not plan.refused, plan.refused
+    if plan.refused:
+        raise LogUnusableError(plan.refused)
     frames: list[LidarFrame] = []
     said: list[str] = []
     for shard in plan.shards:

@@ -14,6 +14,7 @@ def answer(settings: Settings) -> Iterator[Finding]:
     """Read the model's answer to the first frames of the first log, where a stream is recorded."""
     if not settings.takes_recorded or not settings.bucket or find_spec("mcap") is None:
         return
+    from workers.ingest.plan import plan_recording
     from workers.model_answer import read_answer
 
     store = open_bucket(settings.bucket)
@@ -27,11 +28,8 @@ def answer(settings: Settings) -> Iterator[Finding]:
     first = recordings[0]
     found = read_answer(store, first, settings.mining())
     if found is None:
-        yield warning(
-            "model's answer",
-            f"the first log has none that can be read: counterpoint inspect names what it has "
-            f"({first.log_id})",
-        )
+        why = plan_recording(store, first, settings.mining()).refused or "it has none"
+        yield warning("model's answer", f"the first log is refused: {why} ({first.log_id})")
         return
     for said in found.problems:
         yield warning("model's answer", f"{said} ({first.log_id})")

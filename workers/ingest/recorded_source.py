@@ -2,19 +2,25 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Final
 
+from schemas.arrays import NS_PER_S
 from schemas.canonical import canonical_json
 from schemas.mining import MiningSettings
 from schemas.work import BoxSource, Channel, ChunkRef, Damage, RecordedSource
 from workers.errors import LogUnusableError
+from workers.ingest.boxes.parquet import AROUND_NS, read_box_file
 from workers.ingest.boxes.source import FoundBoxes, box_spans, box_topics, find_boxes, find_spaces
 from workers.ingest.log_index import LogIndex
-from workers.ingest.prediction_files import find_prediction_files
+from workers.ingest.prediction_files import find_prediction_files, open_predictions
 from workers.ingest.recorded_labels import CLASSES_RECORD, find_labels, find_recorded_source
 from workers.ingest.shard_windows import Span, StampBounds
 from workers.ingest.topic_sampling import Sample
 from workers.ingest.topic_spans import spans_of
 from workers.ingest.topics import Topic, chunks_of, count_in, without_schema
+
+CHECKED_NS: Final = 20 * NS_PER_S
+"""Time from the first cloud on whose boxes a file is checked by, when its log is planned."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,10 +180,26 @@ def _files(
         if settings.supervised.endswith(":ground"):
             raise LogUnusableError(f"boxes label no ground: choose labels of points ({files.key})")
         spaces = find_spaces(index, topics, sample)
+        _check_boxes(settings.predictions, files.key, sample)
         classes_json = classes_json or canonical_json(dict(classes or {})).decode()
         source = RecordedSource(classes_json=classes_json, files=files, boxes=spaces)
         return FoundSource(source, box_spans(index, spaces, StampBounds(), sample))
     return FoundSource(RecordedSource(classes_json=classes_json, files=files))
+
+
+def _check_boxes(url: str, key: str, sample: Sample) -> None:
+    """Read the boxes of the first seconds, so that a file that cannot be used is refused here.
+
+    Raises:
+        LogUnusableError: If it is no Parquet of boxes in these units.
+    """
+    first_ns, last_ns = sample.first_stamp_ns, sample.first_stamp_ns + CHECKED_NS
+    read_box_file(
+        *(open_predictions(url), key),
+        start_ns=max(0, first_ns - AROUND_NS),
+        end_ns=last_ns + AROUND_NS,
+        clouds_ns=(first_ns - AROUND_NS, last_ns + AROUND_NS),
+    )
 
 
 def _labels(

@@ -16,6 +16,7 @@ from schemas.labels import FrameHealth, FrameLabels, MotionLabel
 from workers.lidar.deskew import Twist, deskew, motion, time_from_middle_s, twist
 from workers.points.points_in_boxes import points_in_boxes
 from workers.points.se3 import inverse
+from workers.supervised.box_fit import BoxFit
 from workers.supervised.box_motion import BoxMotion
 
 MARGIN_M: Final = 0.3
@@ -46,6 +47,7 @@ class BoxLabels:
     def __init__(self, classes: dict[int | str, tuple[int, str]]) -> None:
         self._classes = classes
         self._motion = BoxMotion()
+        self._fit = BoxFit()
         self._before: PosedFrame | None = None
 
     def label(self, posed: PosedFrame, boxes: RecordedBoxes) -> FrameLabels:
@@ -57,11 +59,14 @@ class BoxLabels:
             boxes, posed.odom_from_sensor @ middle_from_boxes
         )
         turn = middle_from_boxes[:3, :3]
+        centre_m = boxes.centre_m @ turn.T + middle_from_boxes[:3, 3]
+        middle_from_box = np.ascontiguousarray(turn @ boxes.sensor_from_box)
+        self._fit.add(points_m, centre_m, middle_from_box, boxes.size_m / 2)
         inside, near = points_in_boxes(
             points_m,
             time_s,
-            boxes.centre_m @ turn.T + middle_from_boxes[:3, 3],
-            np.ascontiguousarray(turn @ boxes.sensor_from_box),
+            centre_m,
+            middle_from_box,
             boxes.size_m / 2,
             velocity_m_per_s @ turn.T,
             MARGIN_M,
@@ -97,7 +102,7 @@ class BoxLabels:
             labels=labels,
             confidence=confidence,
             class_id=class_id,
-            health=FrameHealth(reason="" if _says_motion(boxes) else NO_MOTION),
+            health=FrameHealth(reason=self._fit.doubt if _says_motion(boxes) else NO_MOTION),
         )
 
     def _class(self, name: str) -> int:

@@ -3,6 +3,7 @@
 import math
 from typing import Any, Final
 
+from schemas.arrays import NS_PER_S
 from schemas.predicted_boxes import MAX_BOXES
 from schemas.transport.bucket import Bucket
 from schemas.visible import visible
@@ -16,6 +17,9 @@ MAX_OPENED_BYTES: Final = 4096 * MIB
 
 MAX_ROWS: Final = 500_000
 """Rows of one shard; 200 answers of 120 boxes are 24,000."""
+
+AROUND_NS: Final = NS_PER_S
+"""Time around a cloud in which boxes of a file are compared with its stamp, nanoseconds."""
 
 MOST_YAW: Final = 4 * math.pi
 """Largest yaw that is taken for radians: two turns. Degrees soon exceed it."""

@@ -4,14 +4,13 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from typing import Final
 
-from schemas.arrays import NS_PER_S
 from schemas.boxes import RecordedBoxes
 from schemas.mining import MiningSettings
 from schemas.work import BoxSource, RecordedSource, Shard
 from workers.ingest.boxes.class_meanings import ClassMeanings
 from workers.ingest.boxes.notices import BoxNotices
 from workers.ingest.boxes.pairing import BoxPairing
-from workers.ingest.boxes.parquet import read_box_file
+from workers.ingest.boxes.parquet import AROUND_NS, read_box_file
 from workers.ingest.boxes.spaces import Spaces
 from workers.ingest.boxes.stated import StatedBoxes, stated_boxes
 from workers.ingest.decoding import MessageUnreadableError
@@ -22,9 +21,6 @@ from workers.ingest.recorded_labels import recorded_classes
 
 MAX_REPORTED: Final = 3
 """Unreadable messages of one topic that a shard names one by one."""
-
-AROUND_NS: Final = NS_PER_S
-"""Time around a cloud in which boxes of a file are compared with its stamp, nanoseconds."""
 
 Complete = Iterator[tuple[tuple[DecodedCloud, int], RecordedBoxes | None]]
 """Clouds with their log times, and the boxes of each; None without an answer."""
