@@ -5,17 +5,23 @@ from typing import Final
 
 from service.curation.compared_scenes import LOGS_AT_A_PLACE
 from service.curation.comparison import MOST_PLACES, ComparedGroup, Comparison, Rate
+from service.curation.comparison_answers import MOST_LESS
 
 _WORDS: Final = {"regressed": "**regressed**", "improved": "improved", "same": "no difference"}
 
 
 def gate_sentence(found: Comparison) -> str:
     """Return the result in one sentence."""
+    a, b = found.a.labelled_share, found.b.labelled_share
     if found.answers_less:
-        a, b = (f"{100 * side.labelled_share:.0f} %" for side in (found.a, found.b))
         return (
-            f"B answers less: it labels {b} of the returns, A {a}, and what is not labelled cannot "
-            f"contradict; {_of_groups(found)}"
+            f"B answers less: it labels {100 * b:.0f} % of the returns, A {100 * a:.0f} %, and what "
+            f"is not labelled cannot contradict; {_of_groups(found)}"
+        )
+    if b - a > MOST_LESS:
+        return (
+            f"{_of_groups(found)}; B labels {100 * b:.0f} % of the returns, A only "
+            f"{100 * a:.0f} %, so that more of B can contradict"
         )
     return _of_groups(found)
 

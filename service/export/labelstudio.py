@@ -25,7 +25,7 @@ CHOICES: Final = {
 """Choice for each attribution, by the names of verdicts."""
 
 MOST_TRACKS: Final = 5
-"""Tracks of a scene that are asked about: as many as a record gives reasons for."""
+"""Tracks of a scene that are asked about at most: as many as a record gives reasons for."""
 
 IMAGES: Final = "images"
 CHOICE: Final = "wrong_"
@@ -54,19 +54,20 @@ def task(scene: SceneToExport) -> dict[str, Any]:
     """Return the task of a scene: its data, and the attributions as a prediction."""
     score = scene.score
     headlines = {each.track_id: each.headline for each in score.reasons}
+    asked = [each for each in score.tracks[:MOST_TRACKS] if each.track_id in headlines]
     data: dict[str, Any] = {
         "image": f"/data/local-files/?d={quote(f'{IMAGES}/{scene.stem}.png')}",
         "scene_id": score.scene_id,
         "log_id": score.log_id,
         "record_sha256": scene.sha256,
         "score": score.score,
-        TRACKS: [each.track_id for each in score.tracks[:MOST_TRACKS]],
+        TRACKS: [each.track_id for each in asked],
         "verdicts": [each.model_dump() for each in scene.verdicts],
     }
     results: list[dict[str, Any]] = []
     for place in range(MOST_TRACKS):
-        track = score.tracks[place] if place < len(score.tracks) else None
-        said = "" if track is None else headlines.get(track.track_id, track.kind)
+        track = asked[place] if place < len(asked) else None
+        said = "" if track is None else headlines[track.track_id]
         data[f"track_{place}"] = said and f"{place + 1}: {said}"  # as numbered on the picture
         if track is None or track.attribution is None:
             continue

@@ -119,7 +119,9 @@ def test_a_version_that_falls_silent_does_not_pass(folder: str) -> None:
     assert "# Regression" in markdown(found)
     assert "| 50.0 % |" in markdown(found)
     assert compare(quiet, quiet, ComparisonTerms()).passed, "as much as before"
-    assert not compare(quiet, after, ComparisonTerms()).answers_less
+    louder = compare(quiet, after, ComparisonTerms())
+    assert not louder.answers_less
+    assert "B labels 100 % of the returns, A only 50 %" in gate_sentence(louder)
     assert not compare(before, silent(after, 0.96), ComparisonTerms()).answers_less
 
 
