@@ -21,6 +21,14 @@ log = structlog.get_logger(__name__)
 PROBLEM: Final = zenoh.Encoding("application/json").with_schema("counterpoint.problem.v1")
 """Encoding of an error reply of ours; Zenoh's own, such as a timeout, has another."""
 
+SILENT_S: Final = 20.0
+"""Time without any answer after which that is logged, seconds; a restart takes less."""
+
+SILENT: Final = (
+    "no answer for 20 s, and asked on: is the service up? If it is, do the rules of the routers "
+    "name this certificate (counterpoint acl)?"
+)
+
 
 class UnansweredError(TransientError):
     """No reply came: no service runs yet, it died while answering, or the time was up."""
@@ -93,15 +101,23 @@ def ask_until(
         StoppedError: If `stop` was set.
         PermanentError: If the reply is a problem that a retry cannot cure.
     """
-    give_up_s = time.monotonic() + patience_s
+    began_s = time.monotonic()
+    give_up_s, silent = began_s + patience_s, False
     waits = backoff_s(first_s=0.02, most_s=0.5)
     said = False
     while True:
         try:
-            return ask(session, key, payload, timeout_s=timeout_s, says=says)
+            answer = ask(session, key, payload, timeout_s=timeout_s, says=says)
+            if silent:
+                log.info("the service answers again", key=key)
+            return answer
         except TransientError as error:
-            if time.monotonic() >= give_up_s:
+            now_s = time.monotonic()
+            if now_s >= give_up_s:
                 raise
+            if isinstance(error, UnansweredError) and not silent and now_s >= began_s + SILENT_S:
+                log.warning("no service answers", key=key, problem=SILENT)
+                silent = True
             if not said:
                 say = log.debug if isinstance(error, UnansweredError) else log.warning
                 say("asking again", key=key, problem=str(error))

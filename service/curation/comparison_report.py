@@ -15,8 +15,8 @@ def gate_sentence(found: Comparison) -> str:
     a, b = found.a.labelled_share, found.b.labelled_share
     if found.answers_less:
         return (
-            f"B answers less: it labels {100 * b:.0f} % of the returns, A {100 * a:.0f} %, and what "
-            f"is not labelled cannot contradict; {_of_groups(found)}"
+            f"B answers less: it labels {100 * b:.0f} % of the returns, A {100 * a:.0f} %, and "
+            f"what is not labelled cannot contradict; {_of_groups(found)}"
         )
     if b - a > MOST_LESS:
         return (

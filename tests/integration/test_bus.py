@@ -155,6 +155,30 @@ def test_silence_refusal_and_time_up_are_told_apart() -> None:
             pass
 
 
+def test_a_worker_that_nobody_answers_says_so_once_and_when_it_is_over(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("schemas.transport.ask.SILENT_S", 0.5)
+    endpoint, key = free_endpoint(), f"{ROOT}/v1/control/claim"
+    with (
+        router_session([endpoint]) as router,
+        client_session([endpoint]) as client,
+        structlog.testing.capture_logs() as events,
+    ):
+        with pytest.raises(UnansweredError):
+            ask_until(client, key, stop=threading.Event(), patience_s=1.5)
+        said = [each for each in events if each["event"] == "no service answers"]
+        assert len(said) == 1
+        assert "do the rules of the routers name this certificate" in said[0]["problem"]
+        waiting = threading.Timer(
+            1.5, lambda: router.declare_queryable(key, lambda query: query.reply(key, b"here"))
+        )
+        waiting.start()
+        assert ask_until(client, key, stop=threading.Event(), patience_s=DEADLINE_S) == b"here"
+        waiting.join()
+    assert [each["event"] for each in events].count("the service answers again") == 1
+
+
 def test_whoever_comes_late_gets_every_scene_and_then_what_is_new(running: Running) -> None:
     world = running.world
     world.mine_all()
