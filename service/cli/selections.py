@@ -8,6 +8,7 @@ from typing import Annotated, Final
 import typer
 
 from schemas.bounds import MAX_NAME, MAX_SCENES_ASKED
+from service.cli.listing import say_classes
 from service.cli.option_groups import grouped
 from service.cli.options import Config, Connect, Database, Json, StateToRead
 from service.cli.output import counted, json_line, page, remark, result_line, table
@@ -85,6 +86,8 @@ def select(
     ranking = source.top(selection.last_rank)
     say_selection(selection, among=ranking)
     say_left_out(selection, ranking, terms)
+    if filters.class_name and not selection.scenes:
+        say_classes(source)
     remark("ids for a labelling tool: --json, or the published selection")
 
 

@@ -9,8 +9,9 @@ import pytest
 from service.cli.main import main
 from service.store.engine import open_store
 from tests.contracts.ledger_world import World
-from tests.contracts.test_listing_contract import commit
+from tests.contracts.test_listing_contract import commit, scene
 from tests.contracts.test_proposals_contract import two_days_in_a_street
+from tests.factories import track_at
 from tests.unit.service.mined_state import mined_state, scenes_at
 
 
@@ -83,6 +84,22 @@ def test_a_twin_in_place_is_named_and_rows_have_places(
     assert ": same place as rank 1, which shows the same" in printed.err
     assert main(["top", "--kind", "moving", *state]) == 0
     assert "no scene passes; `rates --by kind`" in capsys.readouterr().err
+
+
+def test_a_class_is_found_in_any_case_and_known_ones_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tracks = (track_at(20.0, class_name="Car"), track_at(30.0, class_name="Bus"))
+    with closing(open_store(tmp_path)) as store:
+        commit(World.on(store), scene(0, 0.9, tracks=tracks))
+    state = ["--state", str(tmp_path)]
+    assert main(["top", "--class", "car", "--json", *state]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 1
+    for verb in (["top"], ["select", "--budget", "5"]):
+        assert main([*verb, "--class", "tram", *state]) == 0
+        assert "classes of strong tracks: Bus, Car\n" in capsys.readouterr().err
+    assert main(["select", "--budget", "5", "--class", "car", *state]) == 0
+    assert "1 of at most 5 scenes" in capsys.readouterr().out
 
 
 def test_scenes_without_a_reason_are_left_out_with_a_line(
