@@ -102,6 +102,33 @@ def test_a_class_is_found_in_any_case_and_known_ones_are_named(
     assert "1 of at most 5 scenes" in capsys.readouterr().out
 
 
+def test_scenes_of_a_selection_that_were_withdrawn_are_named_with_the_cause(
+    state: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["select", "--budget", "50", "--name", "all", "--again", *state]) == 0
+    capsys.readouterr()
+    assert main(["selection", "show", "all", "--json", *state]) == 0
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    gone = [row["scene_id"] for row in rows if row.get("log_id") == "a"]
+    assert len(gone) == 8
+    assert main(["selection", "show", "all", *state]) == 0
+    assert "no longer" not in capsys.readouterr().err, "all are current"
+    with closing(open_store(tmp_path)) as store:
+        World.on(store).listed("b")
+    assert main(["selection", "show", "all", *state]) == 0
+    said = capsys.readouterr().err
+    assert said.count("is no longer listed: no current scene 'a/") == 5
+    assert "3 more are no longer listed" in said
+    assert main(["show", gone[0], "--out", str(tmp_path / "scene.png"), *state]) != 0
+    said = capsys.readouterr().err
+    assert f"no current scene {gone[0]!r}: it was withdrawn with event " in said
+    assert "when its log was deleted from the bucket; it returns with the same log" in said
+    with closing(open_store(tmp_path)) as store:
+        World.on(store).listed("a", "b")
+    assert main(["selection", "show", "all", *state]) == 0
+    assert "no longer" not in capsys.readouterr().err
+
+
 def test_scenes_without_a_reason_are_left_out_with_a_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
