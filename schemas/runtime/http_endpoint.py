@@ -121,7 +121,8 @@ class HttpEndpoint:
         except OSError as error:
             raise TransientError(
                 f"cannot serve HTTP on {listen}: {error.strerror or error}; "
-                f"free that address, or name another with the setting {setting}"
+                f"free that address, or name another with the setting {setting} "
+                f"(COUNTERPOINT_{setting.upper()})"
             ) from error
         self.port: int = self._server.server_address[1]
         scheme = "http" if guard.tls is None else "https"

@@ -13,6 +13,9 @@ from service.curation.listing import MAX_PAGE, ListedScene, ScenesRequest
 from service.curation.ranges import MAX_BOUND_M
 from service.curation.rates import instants_ns
 
+MOST_CLASSES: Final = 20
+"""Classes that are named where a filter by class finds nothing."""
+
 _FILTER: Final = "Filters"
 
 
@@ -37,7 +40,7 @@ class ListingOptions:
     ] = None
     class_name: Annotated[
         str | None,
-        _option("--class", help_="Only scenes with a strong track of this class, such as car."),
+        _option("--class", help_="Only scenes with a strong track of this class, in any case."),
     ] = None
     wrong: Annotated[
         Wrong | None, _option("--wrong", help_="Only scenes with this attribution of a track.")
@@ -127,6 +130,14 @@ def listed(
         if not page.next or (most is not None and len(rows) >= most):
             return rows, f"{'over ' if page.is_least else ''}{counted(page.total, 'scene')}"
         request = request.model_copy(update={"after": page.next})
+
+
+def say_classes(source: Reader) -> None:
+    """Print the classes of strong tracks, where a filter by class found nothing."""
+    names = source.choices().class_names
+    more = len(names) - MOST_CLASSES
+    listed_names = ", ".join(names[:MOST_CLASSES]) + (f" and {more} more" if more > 0 else "")
+    remark(f"classes of strong tracks: {listed_names or 'none has one'}")
 
 
 def say_listed(rows: list[ListedScene], total: str, *, json: bool) -> None:

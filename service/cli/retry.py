@@ -59,5 +59,10 @@ def retry(
     without = sorted(set(wanted or ()) - {work.log_id for work in retried})
     for log_id in without:
         remark(f"nothing of {log_id} is parked or refused")
+    if without:
+        remark(
+            "what is mined is not mined again; another answer of the model needs a folder of its "
+            "own"
+        )
     if not wanted and not retried:
         remark("nothing is refused" if refused else "nothing is parked")

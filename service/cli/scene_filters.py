@@ -34,7 +34,7 @@ class SceneFilters:
     ] = None
     class_name: Annotated[
         str | None,
-        typer.Option("--class", help="Only with a strong track of this class, such as car."),
+        typer.Option("--class", help="Only with a strong track of this class, in any case."),
     ] = None
     wrong: Annotated[
         str | None,

@@ -12,7 +12,7 @@ from schemas.errors import PermanentError
 from service.api.reader import Reader, choose_endpoint, overlay_of
 from service.api.state_reader import StateReader
 from service.cli.learned_report import say_learned
-from service.cli.listing import ListingOptions, listed, say_listed
+from service.cli.listing import ListingOptions, listed, say_classes, say_listed
 from service.cli.option_groups import grouped
 from service.cli.options import (
     MOST,
@@ -146,7 +146,10 @@ def top(
         return
     if filters.any_given():
         now_s = time.clock_gettime(time.CLOCK_REALTIME)
-        say_listed(*listed(source, filters.request(now_s=now_s), most=n), json=json)
+        found, total = listed(source, filters.request(now_s=now_s), most=n)
+        say_listed(found, total, json=json)
+        if filters.class_name and not found and not json:
+            say_classes(source)
         return
     rows = source.top(n)
     if json:

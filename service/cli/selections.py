@@ -8,6 +8,10 @@ from typing import Annotated, Final
 import typer
 
 from schemas.bounds import MAX_NAME, MAX_SCENES_ASKED
+from schemas.errors import PermanentError
+from service.api.messages import checked_request
+from service.api.reader import Reader
+from service.cli.listing import listed, say_classes
 from service.cli.option_groups import grouped
 from service.cli.options import Config, Connect, Database, Json, StateToRead
 from service.cli.output import counted, json_line, page, remark, result_line, table
@@ -15,6 +19,7 @@ from service.cli.report import say_scenes
 from service.cli.scene_filters import SceneFilters
 from service.cli.scenes import reader
 from service.curation.candidates import Proposal
+from service.curation.listing import MAX_PAGE, ScenesRequest
 from service.curation.ranking import RankedScene, has_reason
 from service.curation.scene_names import short_names
 from service.curation.selection import Selection, SelectionTerms, left_out, why_no_reason
@@ -24,7 +29,7 @@ from service.errors import UsageError
 from service.export.json_lines import json_lines
 
 MOST_LEFT_OUT: Final = 5
-"""Scenes that are named for each cause of leaving them out; further ones are counted."""
+"""Scenes that are named for each cause of leaving them out, or as gone; others are counted."""
 
 _STRATEGIES: Final = ", ".join(row.name for row in STRATEGIES)
 
@@ -85,6 +90,8 @@ def select(
     ranking = source.top(selection.last_rank)
     say_selection(selection, among=ranking)
     say_left_out(selection, ranking, terms)
+    if filters.class_name and not selection.scenes:
+        say_classes(source)
     remark("ids for a labelling tool: --json, or the published selection")
 
 
@@ -152,6 +159,21 @@ def show_selection(
         _print_json(selection)
         return
     say_selection(selection, among=selection.scenes)
+    _say_withdrawn(source, selection)
+
+
+def _say_withdrawn(source: Reader, selection: Selection) -> None:
+    """Print a line for each of the first scenes that are no longer current, with the cause."""
+    request = checked_request(ScenesRequest, selection=selection.name, most=MAX_PAGE)
+    current = {row.scene_id for row in listed(source, request, most=None)[0]}
+    gone = [row for row in selection.scenes if row.scene_id not in current]
+    for row in gone[:MOST_LEFT_OUT]:
+        try:
+            source.scene(row.scene_id)
+        except PermanentError as error:
+            remark(f"rank {row.rank} is no longer listed: {error}")
+    if (others := len(gone) - MOST_LEFT_OUT) > 0:
+        remark(f"{others} more are no longer listed")
 
 
 def say_selection(selection: Selection, *, among: Sequence[RankedScene]) -> None:

@@ -52,7 +52,7 @@ class ScenesRequest(BaseModel):
     vehicle: Said | None = None
     software_version: Said | None = None
     kind: KindName | None = Field(default=None, description="Of a strong track.")
-    class_name: Said | None = Field(default=None, description="Of a strong track.")
+    class_name: Said | None = Field(default=None, description="Of a strong track, in any case.")
     wrong: Wrong | None = Field(default=None, description="Attribution of a strong track.")
     mode: Said | None = Field(
         default=None, description="Supervised stream, `name` or `name@version`."
@@ -144,11 +144,19 @@ def passes(track: TrackSummary, request: ScenesRequest) -> bool:
     """Return true if a strong track passes all filters of tracks: kind, class, who errs, range."""
     return (
         request.kind in (None, track.kind)
-        and request.class_name in (None, track.class_name.replace("|", "/"))
+        and (
+            request.class_name is None
+            or is_class(track.class_name.replace("|", "/"), wanted=request.class_name)
+        )
         and request.wrong in (None, track.wrong)
         and (not request.beyond_m or track.range_m > request.beyond_m)
         and (request.within_m is None or track.range_m <= request.within_m)
     )
+
+
+def is_class(class_name: str, *, wanted: str) -> bool:
+    """Return true if a class is the wanted one, in any case: one model writes Car, another car."""
+    return class_name.casefold() == wanted.casefold()
 
 
 def cursor_of(order: SceneOrder, keys: tuple[float | int, ...]) -> str:

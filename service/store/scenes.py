@@ -12,12 +12,12 @@ from sqlalchemy import ColumnElement, Connection, LargeBinary, Row, Select, and_
 
 from schemas.score import SceneScore
 from schemas.transport.wire import decode
-from service.errors import RecordDamagedError
+from service.errors import NothingFoundError, RecordDamagedError
 from service.store.events import counter
 from service.store.record_digests import OnDamaged, problem_of
 from service.store.retirement import SceneOverlay, is_deleted
 from service.store.same_bytes import refuse_copy
-from service.store.tables import SCENES
+from service.store.tables import RECORDINGS, SCENES
 
 _LAST: Final = 2**63 - 1
 
@@ -151,8 +151,40 @@ def current_scene(
 
     Raises:
         RecordDamagedError: If its record is damaged.
-        NothingFoundError: If another log with the same bytes is mined in place of its own.
+        NothingFoundError: If it was withdrawn, or another log with the same bytes is mined in place
+            of its own.
     """
+    found = _current(connection, scene_id, on_damaged=on_damaged)
+    if found is None and (why := _why_withdrawn(connection, scene_id)):
+        raise NothingFoundError(f"no current scene {scene_id!r}: {why}")
+    return found
+
+
+def _why_withdrawn(connection: Connection, scene_id: str) -> str:
+    """Return when and why a scene was withdrawn; empty: it was never current."""
+    log_id = scene_id.rsplit("/", 2)[0]
+    rows = connection.execute(
+        select(SCENES.c.withdrawn_seq, SCENES.c.withdrawn_by).where(
+            SCENES.c.log_id == log_id,  # the index begins with it
+            SCENES.c.scene_id == scene_id,
+            SCENES.c.withdrawn_seq.is_not(None),
+        )
+    ).all()
+    if not rows:
+        return ""
+    row = max(rows, key=lambda row: row.withdrawn_seq)
+    withdrawn = f"it was withdrawn with event {row.withdrawn_seq}, when its log was"
+    if row.withdrawn_by == "pipeline":
+        return f"{withdrawn} mined again, which did not make this scene"
+    there = select(RECORDINGS.c.revision).where(
+        RECORDINGS.c.log_id == log_id, RECORDINGS.c.is_current
+    )
+    if connection.execute(there).first() is None:
+        return f"{withdrawn} deleted from the bucket; it returns with the same log"
+    return f"{withdrawn} replaced in the bucket"
+
+
+def _current(connection: Connection, scene_id: str, *, on_damaged: OnDamaged) -> StoredScene | None:
     row = connection.execute(
         _stored().where(SCENES.c.is_current, SCENES.c.scene_id == scene_id)
     ).one_or_none()
@@ -182,7 +214,7 @@ def last_scene(
     Raises:
         RecordDamagedError: If the record of the current one is damaged.
     """
-    if found := current_scene(connection, scene_id, on_damaged=on_damaged):
+    if found := _current(connection, scene_id, on_damaged=on_damaged):
         return found
     row = connection.execute(
         _stored()

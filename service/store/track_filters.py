@@ -15,7 +15,7 @@ from sqlalchemy import (
     select,
 )
 
-from service.curation.listing import ScenesRequest
+from service.curation.listing import ScenesRequest, is_class
 from service.curation.ranges import RangeBits, bits_between
 from service.store.tables import LISTED_SCENES, LISTED_TRACKS, LISTING_FINDINGS, LISTING_THINGS
 
@@ -42,9 +42,14 @@ def of_tracks(connection: Connection, request: ScenesRequest) -> list[ColumnElem
         return [] if bits is None else [_within(LISTED_SCENES, bits)]
     if len(given) == 1 and bits is None:
         return [_of_finding(connection, *given.popitem())]
-    things = LISTING_THINGS.c
-    wanted = and_(*(things[name] == value for name, value in given.items()))
-    numbers = connection.execute(select(things.thing).where(wanted)).scalars().all()
+    named_class, things = given.pop("class_name", None), LISTING_THINGS.c
+    wanted = and_(True, *(things[name] == value for name, value in given.items()))
+    found = connection.execute(select(things.thing, things.class_name).where(wanted))
+    numbers = [
+        row.thing
+        for row in found
+        if named_class is None or is_class(row.class_name, wanted=named_class)
+    ]
     tracks = select(LISTED_TRACKS.c.seq).where(in_numbers(LISTED_TRACKS.c.thing, numbers))
     if bits is not None:
         tracks = tracks.where(_within(LISTED_TRACKS, bits))
@@ -53,9 +58,17 @@ def of_tracks(connection: Connection, request: ScenesRequest) -> list[ColumnElem
 
 def _of_finding(connection: Connection, name: str, value: str) -> ColumnElement[bool]:
     findings = LISTING_FINDINGS.c
-    wanted = contains(connection, findings[_SETS[name]], f"|{value}|")
-    numbers = connection.execute(select(findings.finding).where(wanted)).scalars().all()
-    return in_numbers(LISTED_SCENES.c.finding, numbers)
+    numbers: set[int] = set()
+    for each in _spellings(connection, value) if name == "class_name" else [value]:
+        wanted = contains(connection, findings[_SETS[name]], f"|{each}|")
+        numbers.update(connection.execute(select(findings.finding).where(wanted)).scalars())
+    return in_numbers(LISTED_SCENES.c.finding, sorted(numbers))
+
+
+def _spellings(connection: Connection, class_name: str) -> list[str]:
+    """Return the classes that a name means in any case; databases know that of few letters."""
+    known = connection.execute(select(LISTING_THINGS.c.class_name).distinct()).scalars()
+    return [each for each in known if is_class(each, wanted=class_name)]
 
 
 def _within(table: FromClause, bits: RangeBits) -> ColumnElement[bool]:

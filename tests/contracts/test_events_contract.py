@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from service.errors import NothingFoundError
 from service.store.ledger import StoredScene
 from tests.contracts.databases import OnPostgres, OnSqlite
-from tests.contracts.ledger_world import World, recording
+from tests.contracts.ledger_world import World, plan_of, recording
 from tests.contracts.store_contract import StoreContract
 
 
@@ -55,6 +56,32 @@ class EventsContract(StoreContract):
         assert len(events) == 9
         assert {event.record for event in events} == {b""}
         assert {event.log_id for event in events} == {"a"}
+
+    def test_a_withdrawn_scene_is_refused_with_the_event_and_the_cause(self, world: World) -> None:
+        def refusal(scene_id: str) -> str:
+            with pytest.raises(NothingFoundError) as refused:
+                world.ledger.scene(scene_id)
+            assert str(refused.value).startswith(f"no current scene {scene_id!r}: it was ")
+            return str(refused.value).partition("it was ")[2]
+
+        world.listed("a", "b")
+        world.mine_all()
+        of_a, of_b = min(world.ids()), max(world.ids())
+        record = world.ledger.scene(of_a)
+        world.listed("b")
+        deleted = "when its log was deleted from the bucket; it returns with the same log"
+        assert refusal(of_a) == f"withdrawn with event 19, {deleted}"
+        last = world.ledger.scene(of_a, withdrawn=True)
+        assert record is not None
+        assert last is not None
+        assert last.record == record.record
+        world.listed("b", etag="new")
+        world.planner = lambda recording: plan_of(recording.log_id, shards=1)
+        world.mine_all()
+        assert "when its log was replaced in the bucket" in refusal(of_b)
+        assert world.ledger.scene("b/lidar/never") is None
+        world.listed("a")
+        assert world.ledger.scene(of_a) is not None
 
     @pytest.mark.parametrize("seed", range(4))
     def test_whoever_asks_however_seldom_ends_with_what_is_current(

@@ -79,6 +79,21 @@ class TrackFiltersContract(StoreContract):
         world.listed("a", "b")
         assert found(world, kind=kinds[1], beyond_m=30) == [0, 1, 2], "as the scenes return"
 
+    def test_a_class_is_found_in_any_case(self, world: World) -> None:
+        commit(
+            world,
+            scene(0, tracks=(track_at(10.0, class_name="Car"),)),
+            scene(1, tracks=(track_at(40.0, class_name="car"),)),
+            scene(2, tracks=(track_at(10.0, class_name="Cargo"), track_at(10.0, class_name=""))),
+            scene(3, tracks=(track_at(10.0, class_name="Fußgänger|ÜBER"),)),
+        )
+        for name in ("car", "Car", "CAR"):
+            assert found(world, class_name=name) == [0, 1]
+            assert found(world, class_name=name, within_m=30) == [0]
+        assert found(world, class_name="ca") == found(world, class_name="c%r") == []
+        assert found(world, class_name="fussgänger/über") == [3]
+        assert found(world, class_name="FUßGÄNGER/über", within_m=30) == [3]
+
     def test_any_filters_of_tracks_pass_what_one_of_the_tracks_passes(self, world: World) -> None:
         dice = random.Random(7)  # noqa: S311 (a test's dice)
         kinds = ("only_semantic_dynamic", "only_predictive_dynamic", "only_witness_dynamic")

@@ -127,4 +127,4 @@ def test_a_service_whose_address_is_taken_ends_with_the_sentence(
         assert command.main(["service", *where, "--connect", endpoint]) == 75
     said = capsys.readouterr().err
     assert f"127.0.0.1:{taken.port}" in said
-    assert "http_listen" in said
+    assert "with the setting http_listen (COUNTERPOINT_HTTP_LISTEN)" in said

@@ -9,8 +9,9 @@ import pytest
 from service.cli.main import main
 from service.store.engine import open_store
 from tests.contracts.ledger_world import World
-from tests.contracts.test_listing_contract import commit
+from tests.contracts.test_listing_contract import commit, scene
 from tests.contracts.test_proposals_contract import two_days_in_a_street
+from tests.factories import track_at
 from tests.unit.service.mined_state import mined_state, scenes_at
 
 
@@ -83,6 +84,49 @@ def test_a_twin_in_place_is_named_and_rows_have_places(
     assert ": same place as rank 1, which shows the same" in printed.err
     assert main(["top", "--kind", "moving", *state]) == 0
     assert "no scene passes; `rates --by kind`" in capsys.readouterr().err
+
+
+def test_a_class_is_found_in_any_case_and_known_ones_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tracks = (track_at(20.0, class_name="Car"), track_at(30.0, class_name="Bus"))
+    with closing(open_store(tmp_path)) as store:
+        commit(World.on(store), scene(0, 0.9, tracks=tracks))
+    state = ["--state", str(tmp_path)]
+    assert main(["top", "--class", "car", "--json", *state]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 1
+    for verb in (["top"], ["select", "--budget", "5"]):
+        assert main([*verb, "--class", "tram", *state]) == 0
+        assert "classes of strong tracks: Bus, Car\n" in capsys.readouterr().err
+    assert main(["select", "--budget", "5", "--class", "car", *state]) == 0
+    assert "1 of at most 5 scenes" in capsys.readouterr().out
+
+
+def test_scenes_of_a_selection_that_were_withdrawn_are_named_with_the_cause(
+    state: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["select", "--budget", "50", "--name", "all", "--again", *state]) == 0
+    capsys.readouterr()
+    assert main(["selection", "show", "all", "--json", *state]) == 0
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    gone = [row["scene_id"] for row in rows if row.get("log_id") == "a"]
+    assert len(gone) == 8
+    assert main(["selection", "show", "all", *state]) == 0
+    assert "no longer" not in capsys.readouterr().err, "all are current"
+    with closing(open_store(tmp_path)) as store:
+        World.on(store).listed("b")
+    assert main(["selection", "show", "all", *state]) == 0
+    said = capsys.readouterr().err
+    assert said.count("is no longer listed: no current scene 'a/") == 5
+    assert "3 more are no longer listed" in said
+    assert main(["show", gone[0], "--out", str(tmp_path / "scene.png"), *state]) != 0
+    said = capsys.readouterr().err
+    assert f"no current scene {gone[0]!r}: it was withdrawn with event " in said
+    assert "when its log was deleted from the bucket; it returns with the same log" in said
+    with closing(open_store(tmp_path)) as store:
+        World.on(store).listed("a", "b")
+    assert main(["selection", "show", "all", *state]) == 0
+    assert "no longer" not in capsys.readouterr().err
 
 
 def test_scenes_without_a_reason_are_left_out_with_a_line(

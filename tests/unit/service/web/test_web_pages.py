@@ -110,6 +110,7 @@ def test_a_card_names_the_track_that_passes_where_it_is_not_the_first(
     assert named.findall(page.get("/").text) == []
     assert named.findall(page.get("/?within=10").text) == []
     assert named.findall(page.get("/?beyond=10&class=c3").text) == ["track 4: c3, 30 m"]
+    assert named.findall(page.get("/?beyond=10&class=C3").text) == ["track 4: c3, 30 m"]
     assert "&amp;class=c3&amp;beyond=10&amp;track=3" in page.get("/?beyond=10&class=c3").text
     assert named.findall(page.get("/?beyond=60").text) == ["a weaker track passes"]
 
