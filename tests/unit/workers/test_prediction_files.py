@@ -159,6 +159,21 @@ def test_boxes_come_from_parquet(tmp_path: Path, name: str) -> None:
     np.testing.assert_allclose(frames[0].boxes.velocity_m_per_s, [(3.0, 0.0, 0.0)])
 
 
+@pytest.mark.parametrize("nothing", [None, float("nan")], ids=["null", "NaN"])
+def test_a_row_of_the_stamp_alone_says_that_nothing_was_found(
+    tmp_path: Path, nothing: float | None
+) -> None:
+    file = tmp_path / "drive.parquet"
+    parquet_of_boxes(file)
+    rows = parquet.read_table(file).to_pylist()
+    rows[0] = {name: rows[0]["stamp_ns"] if name == "stamp_ns" else nothing for name in rows[0]}
+    rows[0]["frame_id"] = rows[0]["class_name"] = None
+    parquet.write_table(pa.Table.from_pylist(rows), file)
+    frames, said = read(write(clouds()), predictions=str(tmp_path))
+    assert said == []
+    assert [len(frame.boxes) for frame in frames if frame.boxes is not None] == [1] * 19 + [0]
+
+
 def test_boxes_in_parquet_are_placed_by_the_transforms_of_the_log(tmp_path: Path) -> None:
     parquet_of_boxes(tmp_path / "drive.parquet", frame_id="base")
     log = write([*clouds(), transform("base", "lidar", 2.0, log_time_ns=stamp(0))])

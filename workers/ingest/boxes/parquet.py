@@ -124,7 +124,9 @@ def _answers(rows: list[dict[str, Any]], key: str) -> list[StatedBoxes]:
     frames: dict[int, set[str]] = {}
     for row in rows:
         stamp_ns = int(row["stamp_ns"])
-        grouped.setdefault(stamp_ns, []).append(_box(row, key))
+        boxes = grouped.setdefault(stamp_ns, [])
+        if not _is_stamp_alone(row):
+            boxes.append(_box(row, key))
         frames.setdefault(stamp_ns, set()).add(str(row.get("frame_id") or ""))
     if mixed := [stamp_ns for stamp_ns, names in frames.items() if len(names) > 1]:
         names = ", ".join(map(repr, sorted(frames[mixed[0]])))
@@ -140,6 +142,11 @@ def _answers(rows: list[dict[str, Any]], key: str) -> list[StatedBoxes]:
     return [
         gather(stamp_ns, next(iter(frames[stamp_ns])), boxes) for stamp_ns, boxes in grouped.items()
     ]
+
+
+def _is_stamp_alone(row: dict[str, Any]) -> bool:
+    """Return true for the answer that nothing was found: a row without any number of a box."""
+    return all(row[name] is None or math.isnan(row[name]) for name in NEEDED[1:])
 
 
 def _box(row: dict[str, Any], key: str) -> StatedBox:
