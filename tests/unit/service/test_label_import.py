@@ -110,7 +110,7 @@ def test_a_frame_without_labels_is_left_out(sequences: Path) -> None:
 def test_a_folder_of_something_else_is_refused(tmp_path: Path, sequences: Path) -> None:
     with pytest.raises(UsageError, match="this is no folder of an export"):
         scenes_in(tmp_path)
-    with pytest.raises(UsageError, match="no such folder: .*/away"):
+    with pytest.raises(UsageError, match=r"no such folder: .*/away"):
         scenes_in(tmp_path / "away")
     with pytest.raises(UsageError, match="an export as semantickitti, not as segments"):
         scenes_in(sequences, "segments")
