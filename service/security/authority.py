@@ -196,6 +196,15 @@ def role_of(certificate: x509.Certificate) -> str:
     return role if role in BUS_ROLES else ""
 
 
+def role_in(path: Path) -> str:
+    """Return the role of the certificate in a file; empty: it has none of ours.
+
+    Raises:
+        PermanentError: If the file is no certificate.
+    """
+    return role_of(_load(path))
+
+
 def certificate_name(certificate: x509.Certificate) -> str:
     """Return the name of a certificate."""
     names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
