@@ -19,7 +19,7 @@ from schemas.transport.wire import decode_reply
 from service.api.messages import AboutReply
 from service.background.heartbeat import workers_alive
 from service.doctor.finding import Finding, ok, problem, warning
-from service.security.authority import role_in
+from service.security.authority import is_signed_by, role_in
 from service.security.listening import has_rules, open_bus, open_pages
 from service.settings.config import Settings
 from service.store.state import endpoint_of_running
@@ -176,6 +176,12 @@ def locks(settings: Settings) -> Iterator[Finding]:
             "`counterpoint acl` and name them as zenoh_config",
         )
     yield _validity(Path(settings.tls_certificate))
+    if not is_signed_by(Path(settings.tls_certificate), Path(settings.tls_ca)):
+        yield problem(
+            "locks",
+            f"another authority than that of tls_ca has signed the certificate of "
+            f"{settings.locks.name}: copy both from the same authority ({settings.tls_ca})",
+        )
 
 
 def _validity(path: Path) -> Finding:

@@ -5,7 +5,7 @@ from pathlib import Path
 from cryptography import x509
 
 from service.cli.main import main
-from service.security.authority import hosts_of
+from service.security.authority import hosts_of, is_signed_by, open_authority
 
 ALWAYS = {"router", "localhost", "127.0.0.1", "::1"}
 
@@ -36,3 +36,18 @@ def test_a_certificate_of_another_authority_lends_no_hosts(tmp_path: Path) -> No
     assert renewed(ours) == ALWAYS
     (ours / "router.pem").write_bytes((theirs / "router.pem").read_bytes())
     assert renewed(ours) == ALWAYS
+
+
+def test_a_certificate_is_signed_by_its_authority_or_through_the_chain_in_its_file(
+    tmp_path: Path,
+) -> None:
+    signed = open_authority(tmp_path / "ours").issue("service", "service")
+    theirs = open_authority(tmp_path / "theirs").issue("service", "service")
+    ours = tmp_path / "ours" / "ca.pem"
+    assert is_signed_by(signed, ours)
+    assert not is_signed_by(theirs, ours)
+    chain = tmp_path / "chain.pem"
+    chain.write_bytes(signed.read_bytes() + ours.read_bytes())
+    assert is_signed_by(chain, ours)
+    chain.write_bytes(theirs.read_bytes() + signed.read_bytes())
+    assert not is_signed_by(chain, ours), "a certificate that only lies next to it signs nothing"

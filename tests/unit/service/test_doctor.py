@@ -254,6 +254,26 @@ def test_the_role_of_a_certificate_tells_which_pages_its_process_serves() -> Non
     }
 
 
+def test_a_certificate_of_another_authority_than_tls_ca_is_a_problem() -> None:
+    signed = open_authority(Path("ours")).issue("miner-a", "worker")
+    open_authority(Path("theirs")).issue("miner-a", "worker")
+    both = Path("ours/ca.pem").read_bytes() + Path("theirs/ca.pem").read_bytes()
+    Path("both.pem").write_bytes(both)
+
+    def said(ca: str) -> list[tuple[str, str]]:
+        files = {"tls_ca": ca, "tls_certificate": str(signed), "tls_key": "ours/miner-a.key"}
+        return told(doctor_network.locks(settings(**files)))
+
+    for ca in ("ours/ca.pem", "both.pem"):
+        assert [verdict for verdict, _ in said(ca)] == ["ok"]
+    _, (verdict, says) = said("theirs/ca.pem")
+    assert verdict == "problem"
+    assert says == (
+        "another authority than that of tls_ca has signed the certificate of miner-a: copy both "
+        "from the same authority (theirs/ca.pem)"
+    )
+
+
 def test_more_workers_than_processors_are_a_warning() -> None:
     finding = next(doctor_machine.devices(settings(workers=256)))
     assert finding.verdict == "warning"
