@@ -98,6 +98,11 @@ def certs(
             continue
         path = authority.issue(name, role, hosts=host or (), days=days)  # type: ignore[arg-type]
         remark(f"certificate of {role} {name}: {path}")
+    if new := [name for name, _ in named if name not in left]:
+        remark(
+            f"no rule knows {', '.join(new)} yet: write the rules again with `acl`, and restart "
+            "the routers"
+        )
     rows = [
         {
             "name": certificate_name(each),

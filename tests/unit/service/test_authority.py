@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import pytest
 from cryptography import x509
 
 from service.cli.main import main
@@ -28,6 +29,23 @@ def test_a_renewed_certificate_keeps_its_hosts_and_takes_further_ones(tmp_path: 
     assert first == ALWAYS | {"router.fleet.lan", "10.0.0.7", "fd00::7"}
     assert renewed(folder) == first
     assert renewed(folder, "--host", "10.0.0.8", "--host", "10.0.0.7") == first | {"10.0.0.8"}
+
+
+def test_a_new_name_needs_the_rules_again_and_a_renewed_one_does_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def said(*flags: str) -> str:
+        assert main(["certs", str(tmp_path / "authority"), *flags]) == 0
+        return " ".join(capsys.readouterr().err.split())
+
+    needs = "write the rules again with `acl`, and restart the routers"
+    assert f"no rule knows router, miner-a yet: {needs}" in said(
+        "--router", "router", "--worker", "miner-a"
+    )
+    assert f"no rule knows miner-b yet: {needs}" in said("--worker", "miner-a", "--worker=miner-b")
+    assert needs not in said("--worker", "miner-b")
+    assert needs not in said("--worker", "miner-b", "--only-missing")
+    assert needs not in said()
 
 
 def test_a_certificate_of_another_authority_lends_no_hosts(tmp_path: Path) -> None:
