@@ -181,7 +181,7 @@ def page_of(
         config: File of the settings, which exports read too.
     """
     from service.security.listening import need_locked_pages, page_guard
-    from service.web.server import address_of, listening, serving, url_of
+    from service.web.server import address_in, address_of, listening, serving, url_of
 
     own, _ = address_of(settings.review_listen)
     need_locked_pages(settings, settings.review_listen, setting="review_listen")
@@ -189,8 +189,8 @@ def page_of(
     hosts = frozenset(settings.review_hosts) | ({own} - _EVERYWHERE)
     if not hosts:
         raise UsageError(
-            f"{settings.review_listen} is every address of this machine: give --host for each name "
-            "under which browsers may ask for the page"
+            f"{settings.review_listen} is every address of this machine: set review_hosts, or give "
+            "--host, for each name under which browsers may ask for the page"
         )
     jobs = exports_of(settings, is_state=is_state, config=config)
     app = _app_of(settings, hosts, jobs, is_state=is_state)
@@ -205,7 +205,8 @@ def page_of(
             key=settings.http_key,
         ) as thread,
     ):
-        remark(f"review page: {url_of(opened, scheme='https' if is_tls else 'http')}")
+        where = f" (listens on every address, {address_in(opened)})" if own in _EVERYWHERE else ""
+        remark(f"review page: {url_of(opened, scheme='https' if is_tls else 'http')}{where}")
         if not is_loopback_host(own) and not app.state.settings.doors.are_locked:
             remark(
                 f"other machines reach the page as {', '.join(sorted(hosts))}: it has no password, "

@@ -98,6 +98,11 @@ def certs(
             continue
         path = authority.issue(name, role, hosts=host or (), days=days)  # type: ignore[arg-type]
         remark(f"certificate of {role} {name}: {path}")
+    if new := [name for name, _ in named if name not in left]:
+        remark(
+            f"no rule knows {', '.join(new)} yet: write the rules again with `acl`, and restart "
+            "the routers"
+        )
     rows = [
         {
             "name": certificate_name(each),
@@ -155,6 +160,10 @@ def token(
     revoke: Annotated[
         bool, typer.Option("--revoke", help="Take every token of this name out instead.")
     ] = False,
+    revoke_older: Annotated[
+        bool,
+        typer.Option("--revoke-older", help="Take all but the newest of this name out instead."),
+    ] = False,
     out: Annotated[
         Path | None,
         typer.Option("--out", help="Private file for the token, such as Prometheus reads; stdout."),
@@ -162,7 +171,8 @@ def token(
 ) -> None:
     """Make a token that opens the pages; the file keeps its digest, and the token is printed once.
 
-    A change of the file counts at once, without a restart.
+    A change of the file counts at once, without a restart. Other tokens of the name stay valid
+    until they are revoked, so that one can be replaced without a gap.
     """
     from schemas.runtime.private_file import read_private, write_private
 
@@ -170,22 +180,40 @@ def token(
         raise UsageError(f"--out: this file exists: name another, or remove it first ({out})")
     if not is_role(role):
         raise UsageError(f"--role is one of {', '.join(ROLES)}, not {role!r}")
+    if revoke and revoke_older:
+        raise UsageError("give one of --revoke and --revoke-older")
     made = new_token()
     line = token_line(name, role, made)  # type: ignore[arg-type]
     lines = []
     if file.exists():
         lines = read_private(file, what="http_tokens").decode("utf-8").splitlines()
-    if revoke:
-        kept = [each for each in lines if name not in each.split()[1:2]]
+    before = [number for number, each in enumerate(lines) if _is_token_of(each, name)]
+    if revoke or revoke_older:
+        if not before:
+            raise UsageError(f"no token of the name {name!r} ({file})")
+        out_of_use = before if revoke else before[:-1]
+        kept = [each for number, each in enumerate(lines) if number not in out_of_use]
         write_private(file, "".join(f"{each}\n" for each in kept).encode())
-        remark(f"revoked: {len(lines) - len(kept)} tokens of {name} ({file})")
+        rest = "" if revoke else "; the newest stays valid"
+        remark(f"revoked: {len(out_of_use)} tokens of {name}{rest} ({file})")
         return
     write_private(file, "".join(f"{each}\n" for each in [*lines, line]).encode())
     if out is None:
         result_line(made)
     else:
         write_private(out, f"{made}\n".encode())
-    remark(f"token of {name}, {role}: {file} has its digest; the token itself is kept nowhere else")
+    kept_in = f"{out} has the token" if out else "the token itself is kept nowhere else"
+    remark(f"token of {name}, {role}: {file} has its digest; {kept_in}")
+    if before:
+        remark(
+            f"{len(before)} older tokens of {name} stay valid: once the new one is in use, end "
+            f"them by `counterpoint token {file} --name {name} --revoke-older`",
+            level="warning",
+        )
+
+
+def _is_token_of(line: str, name: str) -> bool:
+    return line.partition("#")[0].split()[1:2] == [name]
 
 
 def audit(

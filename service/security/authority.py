@@ -4,6 +4,7 @@ import datetime
 import ipaddress
 import re
 from collections.abc import Iterable
+from itertools import pairwise, takewhile
 from pathlib import Path
 from typing import Final
 
@@ -119,11 +120,7 @@ class Authority:
         return hosts_of(before) if before and self._signed(before) else ()
 
     def _signed(self, certificate: x509.Certificate) -> bool:
-        try:
-            certificate.verify_directly_issued_by(self._root)
-        except (ValueError, TypeError, InvalidSignature):
-            return False
-        return certificate != self._root
+        return certificate != self._root and _has_signed(self._root, certificate)
 
     def _sign(
         self,
@@ -196,6 +193,39 @@ def role_of(certificate: x509.Certificate) -> str:
     return role if role in BUS_ROLES else ""
 
 
+def role_in(path: Path) -> str:
+    """Return the role of the certificate in a file; empty: it has none of ours.
+
+    Raises:
+        PermanentError: If the file is no certificate.
+    """
+    return role_of(_load(path))
+
+
+def is_signed_by(certificate: Path, ca: Path) -> bool:
+    """Return true if an authority signed a certificate, itself or by the chain in its file.
+
+    Args:
+        certificate: File of the certificate, and of its chain if it has one.
+        ca: File of the authority; it may name several.
+
+    Raises:
+        PermanentError: If one of the files has no certificate.
+    """
+    links, roots = _load_all(certificate), _load_all(ca)
+    joined = takewhile(lambda pair: _has_signed(pair[1], pair[0]), pairwise(links))
+    whole = [links[0], *(issuer for _, issuer in joined)]
+    return any(_has_signed(root, link) for link in whole for root in roots)
+
+
+def _has_signed(issuer: x509.Certificate, certificate: x509.Certificate) -> bool:
+    try:
+        certificate.verify_directly_issued_by(issuer)
+    except (ValueError, TypeError, InvalidSignature):
+        return False
+    return True
+
+
 def certificate_name(certificate: x509.Certificate) -> str:
     """Return the name of a certificate."""
     names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
@@ -265,8 +295,12 @@ def _key_bytes(key: ec.EllipticCurvePrivateKey) -> bytes:
 
 
 def _load(path: Path) -> x509.Certificate:
+    return _load_all(path)[0]
+
+
+def _load_all(path: Path) -> list[x509.Certificate]:
     try:
-        return x509.load_pem_x509_certificate(path.read_bytes())
+        return x509.load_pem_x509_certificates(path.read_bytes())
     except OSError as error:
         raise PermanentError(f"cannot read the certificate: {error.strerror} ({path})") from None
     except ValueError:

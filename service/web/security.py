@@ -95,8 +95,8 @@ class Guard:
         name = name_of(asked)
         if "*" not in self._hosts and name not in self._hosts:
             return 421, (
-                f"this page is not served under the host {name[:100]!r}: name it with --host when "
-                "you start counterpoint review"
+                f"this page is not served under the host {name[:100]!r}: name it in the setting "
+                "review_hosts, or with --host when you start counterpoint review"
             )
         if method in _SAFE:
             return None

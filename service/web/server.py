@@ -63,7 +63,16 @@ def url_of(opened: socket.socket, *, scheme: str = "http") -> str:
     """Return the URL of a socket; one that listens everywhere is named by the loopback."""
     host, port = opened.getsockname()[:2]
     host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)  # noqa: S104
-    return f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}/"
+    return f"{scheme}://{_joined(host, port)}/"
+
+
+def address_in(opened: socket.socket) -> str:
+    """Return the address that a socket listens on, HOST:PORT."""
+    return _joined(*opened.getsockname()[:2])
+
+
+def _joined(host: str, port: int) -> str:
+    return f"{f'[{host}]' if ':' in host else host}:{port}"
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 import yaml
 
+from service.cli.main import main
 from tests.integration.prometheus_server import (
     DEPLOY,
     PrometheusServer,
@@ -80,6 +81,16 @@ def test_the_rules_and_both_configurations_are_valid() -> None:
     subprocess.run(["promtool", "check", "rules", "rules/counterpoint.yml"], cwd=folder, check=True)
     for config in ("prometheus.yml", "one-machine.yml"):
         subprocess.run(["promtool", "check", "config", config], cwd=folder, check=True)
+
+
+def test_the_locked_configuration_of_the_runbook_is_valid(tmp_path: Path) -> None:
+    runbook = (DEPLOY / "README.md").read_text(encoding="utf-8")
+    (shown,) = re.findall(r"```yaml\n(scrape_configs:\n.*?)```", runbook, re.DOTALL)
+    (tmp_path / "prometheus.yml").write_text(shown)
+    assert main(["certs", str(tmp_path), "--service", "service"]) == 0
+    token = ["token", str(tmp_path / "tokens"), "--name", "prometheus"]
+    assert main([*token, "--out", str(tmp_path / "prometheus.token")]) == 0
+    subprocess.run(["promtool", "check", "config", "prometheus.yml"], cwd=tmp_path, check=True)
 
 
 @pytest.mark.parametrize("path", TESTS, ids=lambda path: path.stem)

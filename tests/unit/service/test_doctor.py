@@ -24,6 +24,8 @@ from service.doctor import network as doctor_network
 from service.doctor import stores as doctor_stores
 from service.doctor.examination import examine
 from service.doctor.finding import Finding
+from service.security.authority import open_authority
+from service.security.names import BUS_ROLES
 from service.settings.config import Settings, load_settings, read_settings
 from service.store.engine import DATABASE_NAME, open_store
 from service.store.served_bucket import note_served
@@ -213,15 +215,63 @@ def test_a_service_that_does_not_know_the_question_is_an_older_one() -> None:
     assert "but is of an older version that does not report its own number, and this" in says
 
 
-def test_a_port_that_is_taken_is_named() -> None:
+def test_a_port_that_is_taken_is_named_and_no_problem() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         listen = f"127.0.0.1:{taken.getsockname()[1]}"
         findings = told(doctor_network.http(settings(http_listen=listen)))
-    assert findings[0][0] == "problem"
-    assert findings[0][1].startswith(f"cannot listen on {listen}: ")
+    assert findings[0][0] == "warning"
+    assert findings[0][1].startswith(f"{listen} is taken, by a process that runs already it seems")
     assert findings[1] == ("ok", "worker_http_listen is empty: nothing is served")
     assert told(doctor_network.http(settings(http_listen=listen)))[0][0] == "ok"
-    assert told(doctor_network.http(settings(http_listen="here")))[0][0] == "problem"
+
+
+@pytest.mark.parametrize("listen", ["here", "192.0.2.1:9464"])
+def test_an_address_that_this_machine_does_not_have_is_a_problem(listen: str) -> None:
+    verdict, says = told(doctor_network.http(settings(http_listen=listen)))[0]
+    assert (verdict, says.partition(": ")[0]) == ("problem", f"cannot listen on {listen}")
+
+
+def test_the_role_of_a_certificate_tells_which_pages_its_process_serves() -> None:
+    authority = open_authority(Path("authority"))
+    pages = {}
+    for role in BUS_ROLES:
+        certificate = str(authority.issue(role, role))
+        its = load_settings(
+            http_listen="127.0.0.1:0",
+            worker_http_listen="127.0.0.1:0",
+            review_listen="127.0.0.1:0",
+            tls_ca="authority/ca.pem",
+            tls_certificate=certificate,
+            tls_key=f"authority/{role}.key",
+        )
+        pages[role] = [says.partition("(")[2] for _, says in told(doctor_network.http(its))]
+    assert pages == {
+        "router": [],
+        "service": ["http_listen)", "worker_http_listen)"],
+        "worker": ["worker_http_listen)"],
+        "reader": ["review_listen)"],
+        "operator": ["review_listen)"],
+    }
+
+
+def test_a_certificate_of_another_authority_than_tls_ca_is_a_problem() -> None:
+    signed = open_authority(Path("ours")).issue("miner-a", "worker")
+    open_authority(Path("theirs")).issue("miner-a", "worker")
+    both = Path("ours/ca.pem").read_bytes() + Path("theirs/ca.pem").read_bytes()
+    Path("both.pem").write_bytes(both)
+
+    def said(ca: str) -> list[tuple[str, str]]:
+        files = {"tls_ca": ca, "tls_certificate": str(signed), "tls_key": "ours/miner-a.key"}
+        return told(doctor_network.locks(settings(**files)))
+
+    for ca in ("ours/ca.pem", "both.pem"):
+        assert [verdict for verdict, _ in said(ca)] == ["ok"]
+    _, (verdict, says) = said("theirs/ca.pem")
+    assert verdict == "problem"
+    assert says == (
+        "another authority than that of tls_ca has signed the certificate of miner-a: copy both "
+        "from the same authority (theirs/ca.pem)"
+    )
 
 
 def test_more_workers_than_processors_are_a_warning() -> None:

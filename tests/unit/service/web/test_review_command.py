@@ -1,5 +1,6 @@
 """`counterpoint review`: what it needs, where it listens, and what it does with old states."""
 
+import re
 import shutil
 import threading
 from pathlib import Path
@@ -66,7 +67,10 @@ def test_the_loopback_is_known(host: str, own: bool) -> None:
 
 def test_every_address_needs_the_names_of_hosts(state: Path) -> None:
     everywhere = settings_of(state, review_listen="0.0.0.0:0", insecure=True)
-    with pytest.raises(UsageError, match="--host"), review.page_of(everywhere, is_state=True):
+    with (
+        pytest.raises(UsageError, match="set review_hosts, or give --host"),
+        review.page_of(everywhere, is_state=True),
+    ):
         pytest.fail("it was served")
 
 
@@ -81,6 +85,22 @@ def test_other_machines_are_warned_of(state: Path, capsys: pytest.CaptureFixture
     with review.page_of(settings, is_state=True):
         said = capsys.readouterr().err
     assert "other machines reach the page as review.lan: it has no password" in said
+
+
+@pytest.mark.parametrize(
+    ("host", "loopback"),
+    [("0.0.0.0", "127.0.0.1"), ("[::]", "[::1]")],  # noqa: S104
+)
+def test_a_page_on_every_address_says_so(
+    state: Path, capsys: pytest.CaptureFixture[str], host: str, loopback: str
+) -> None:
+    at = {"review_listen": f"{host}:0", "review_hosts": ["review.lan"], "insecure": True}
+    with review.page_of(settings_of(state, **at), is_state=True):
+        said = " ".join(capsys.readouterr().err.split())
+    found = re.search(r"review page: http://(\S+)/ \(listens on every address, (\S+)\)", said)
+    assert found
+    port = found[1].removeprefix(f"{loopback}:")
+    assert found[2] == f"{host}:{port}"
 
 
 def test_a_taken_address_is_named() -> None:

@@ -51,7 +51,7 @@ def test_pages_have_nothing_inline_and_nothing_foreign(page: Page, path: str) ->
 def test_a_foreign_host_is_refused_with_a_sentence(page: Page, host: str) -> None:
     answer = page.get("/", headers={"host": host})
     assert answer.status_code == 421
-    assert "--host" in answer.text
+    assert "name it in the setting review_hosts, or with --host" in answer.text
     assert answer.headers["content-security-policy"] == POLICY
 
 
