@@ -90,7 +90,7 @@ def fault_of(error: BaseException, driver: Any, *, name: str) -> CounterpointErr
         )
     if _may_pass(cause, driver):
         return StoreUnavailableError(
-            f"cannot use the database: {cause} ({name}); "
+            f"cannot use the database: {' '.join(str(cause).split())} ({name}); "
             "nothing acknowledged is lost, try again when that is fixed"
         )
     first = (str(cause).splitlines() or [""])[0]

@@ -143,15 +143,19 @@ def headline_of(
     duration_s = (last.stamp_ns - first.stamp_ns) / NS_PER_S + frame_period_s(scene)
     x_m, y_m = (float(value) for value in instances[ranked.strongest].centre_m[:2])
     supervised = own_model or SUPERVISED
-    claim = _claim(ranked, scene.task, class_word(ranked.class_name) or "object", supervised)
+    in_boxes = first.posed.frame.boxes is not None
+    claim = _claim(ranked, scene.task, supervised, in_boxes=in_boxes)
     return (
         f"{claim}, {math.hypot(x_m, y_m):.0f} m {bearing(x_m, y_m)}, for {duration_s:.1f} s"
         f"{_attributed(ranked.track.kind, ranked.attribution, supervised)}"
     )
 
 
-def _claim(ranked: RankedTrack, task: Task, class_name: str, supervised: str) -> str:
-    """Return the label that is probably wrong, and what another source labels or measures."""
+def _claim(ranked: RankedTrack, task: Task, supervised: str, *, in_boxes: bool) -> str:
+    """Return the label that is probably wrong, and what another source labels or measures.
+
+    A model that answers in boxes has none around what it gives no class.
+    """
     kind, attribution = ranked.track.kind, ranked.attribution
     wrong = attribution.wrong if attribution is not None else Wrong.NEITHER
     sources = ((supervised, kind.semantic), (SELFSUPERVISED, kind.predictive))
@@ -161,7 +165,11 @@ def _claim(ranked: RankedTrack, task: Task, class_name: str, supervised: str) ->
         (other, seen), (source, label) = sources
     else:
         (source, label), (other, seen) = sources
-    return f"{source} labels {class_name} {label}, but {_contrary(ranked, task, other, seen)}"
+    contrary = _contrary(ranked, task, other, seen)
+    class_name = class_word(ranked.class_name)
+    if in_boxes and not class_name and source == supervised:
+        return f"{source} has no box there, but {contrary}"
+    return f"{source} labels {class_name or 'object'} {label}, but {contrary}"
 
 
 def _contrary(ranked: RankedTrack, task: Task, other: str, seen: str) -> str:

@@ -35,5 +35,9 @@ def test_movers_that_a_detector_misses_or_states_to_stand_are_found(
     for each, strength in zip(judged.planted, judged.found, strict=True):
         if each.kind in ("missed", "stands"):
             assert strength > STRONG, each
-    strong = [about for strength, _, about, _ in judged.tracks if strength > STRONG]
-    assert strong.count("other") == 0
+    strong = [(about, said) for strength, _, about, said in judged.tracks if strength > STRONG]
+    assert [about for about, _ in strong].count("other") == 0
+    missed = [said for about, said in strong if about.startswith("missed")]
+    assert [said for said in missed if "supervised has no box there, but" not in said] == []
+    stands = [said for about, said in strong if about.startswith("stands")]
+    assert [said for said in stands if " static, but" not in said] == []
