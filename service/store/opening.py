@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Final, Protocol
 
@@ -11,6 +11,7 @@ from service.settings.hidden_passwords import shown
 from service.store.engine import (
     Store,
     StoreUnavailableError,
+    has_database,
     open_store,
     open_store_at,
     open_store_to_read,
@@ -24,6 +25,10 @@ _NO: Final = re.compile(
 """Messages of a refused PostgreSQL login, which has no error number in its driver. A server with
 messages in another language is treated as one that does not answer.
 """
+
+
+ELSEWHERE: Final = "postgresql.txt"
+"""File in a state folder whose ledger is a PostgreSQL: its address, without a password."""
 
 
 class WhereStateLies(Protocol):
@@ -50,12 +55,16 @@ def open_ledger_store(settings: WhereStateLies, *, session_name: str = "") -> St
         session_name: Name of the sessions of a PostgreSQL.
 
     Raises:
-        StateUnusableError: If a newer version wrote it, it is no database, or refuses the login.
+        StateUnusableError: If a newer version wrote it, it is no database, or refuses the login; or
+            if the state folder belongs to a PostgreSQL, and the settings name none.
         StoreUnavailableError: If it is locked, the disk is full, or the server does not answer.
     """
     if settings.database:
         with _refusals_said(settings.database):
-            return open_store_at(settings.database, session_name=session_name)
+            store = open_store_at(settings.database, session_name=session_name)
+        _note_database(settings)
+        return store
+    _refuse_if_elsewhere(settings.state)
     return open_store(settings.state)
 
 
@@ -100,3 +109,22 @@ def _refusals_said(url: str) -> Iterator[None]:
             f"the database refuses the login: {refusal.group()} ({shown(url)}); correct user, "
             "password (in `database`, PGPASSWORD or .pgpass) or the database's name"
         ) from error
+
+
+def _note_database(settings: WhereStateLies) -> None:
+    """Note in the state folder which PostgreSQL has its ledger; without a folder, nowhere."""
+    file = settings.state / ELSEWHERE
+    with suppress(OSError):  # it only guards against a setting that is lost later
+        if settings.state.is_dir():
+            file.write_text(f"{shown(settings.database)}\n", encoding="utf-8")
+
+
+def _refuse_if_elsewhere(folder: Path) -> None:
+    """Refuse to begin an empty ledger in a folder whose ledger is a PostgreSQL."""
+    file = folder / ELSEWHERE
+    if file.exists() and not has_database(folder):
+        where = file.read_text(encoding="utf-8").strip()
+        raise StateUnusableError(
+            f"the ledger of this state is the PostgreSQL {where}, and no database is set: set "
+            f"COUNTERPOINT_DATABASE; or delete {file} to begin anew, with everything mined again"
+        )

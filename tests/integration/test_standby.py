@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from sqlalchemy import Connection, text
 
-from service.errors import DatabaseTakenError
+from service.errors import DatabaseTakenError, StateUnusableError
 from service.settings.config import load_settings
-from service.store.opening import open_ledger_store
+from service.store.opening import ELSEWHERE, open_ledger_store
 from tests.contracts.ledger_world import World
 from tests.integration.cutting_proxy import CuttingProxy
 from tests.integration.postgres_server import Postgres, postgres_server
@@ -103,6 +103,20 @@ def _until_said(pair: Pair, name: str, words: str) -> None:
             return
         time.sleep(0.05)
     pytest.fail(pair.words())
+
+
+def test_a_state_folder_of_a_postgresql_begins_no_empty_ledger_without_it(
+    postgres: Postgres, tmp_path: Path
+) -> None:
+    open_ledger_store(load_settings(database=postgres.url, state=tmp_path)).close()
+    alone = load_settings(state=tmp_path)
+    with pytest.raises(StateUnusableError, match=r"is the PostgreSQL postgresql.*no database is s"):
+        open_ledger_store(alone)
+    assert not list(tmp_path.glob("*.sqlite*"))
+    (tmp_path / ELSEWHERE).unlink()
+    open_ledger_store(alone).close()
+    open_ledger_store(load_settings(database=postgres.url, state=tmp_path)).close()
+    open_ledger_store(alone).close()  # it has a ledger of its own
 
 
 def test_a_store_of_an_earlier_term_may_neither_write_nor_read(
