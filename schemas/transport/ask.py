@@ -25,8 +25,8 @@ SILENT_S: Final = 20.0
 """Time without any answer after which that is logged, seconds; a restart takes less."""
 
 SILENT: Final = (
-    "no answer for 20 s, and asked on: is the service up? If it is, do the rules of the routers "
-    "name this certificate (counterpoint acl)?"
+    f"no answer for {SILENT_S:g} s, and asked on: is the service up? If it is, do the rules of the "
+    "routers name this certificate (counterpoint acl)?"
 )
 
 

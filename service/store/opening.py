@@ -126,5 +126,6 @@ def _refuse_if_elsewhere(folder: Path) -> None:
         where = file.read_text(encoding="utf-8").strip()
         raise StateUnusableError(
             f"the ledger of this state is the PostgreSQL {where}, and no database is set: set "
-            f"COUNTERPOINT_DATABASE; or delete {file} to begin anew, with everything mined again"
+            f"COUNTERPOINT_DATABASE; or delete {file} for an empty ledger: everything is mined "
+            "again"
         )

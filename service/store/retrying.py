@@ -54,7 +54,7 @@ def retry(
             work = Work(row.log_id, row.revision, version, shard)
             change(connection, work, state=WorkState.READY, attempts=0, ready_at_s=0.0)
             pardon(connection, work)
-            if row.state == WorkState.REFUSED:  # what its next plan meets is stored anew
+            if row.state == WorkState.REFUSED:  # its next plan stores its own
                 _forget_damage(connection, work)
             effects_of(connection).retried[kind_of(shard)] += 1
             retried.append(

@@ -1,4 +1,4 @@
-"""What the page on your own model shows is read as it says, and it names whatever is read."""
+"""Examples of the page on your own model are read, and it names every entry and column."""
 
 import re
 from pathlib import Path

@@ -25,7 +25,7 @@ class StillGrowingError(TransientError):
     """A recording that was listed a moment ago is incomplete: its upload may be in progress."""
 
 
-class PredictionsAwaitedError(StillGrowingError):
+class PredictionsAwaitedError(TransientError):
     """The predictions next to a recording have not come yet."""
 
 

@@ -23,7 +23,7 @@ from workers.ingest.lidar import choose_lidars, lidar_properties
 from workers.ingest.limits import MAX_CLOUD_TOPICS
 from workers.ingest.log_index import LogIndex, index_recording
 from workers.ingest.pointcloud import is_cloud, unsupported_reason
-from workers.ingest.prediction_files import find_prediction_files
+from workers.ingest.prediction_files import need_prediction_files
 from workers.ingest.recorded_motion import find_motion
 from workers.ingest.recorded_source import (
     FoundSource,
@@ -79,7 +79,10 @@ def plan_recording(
         BucketUnreachableError: If the bucket does not answer.
     """
     if waits and settings.predictions:
-        _await_predictions(settings.predictions, recording)
+        try:
+            need_prediction_files(settings.predictions, recording.log_id)
+        except PredictionsMissingError as error:
+            raise PredictionsAwaitedError(str(error)) from None
     try:
         index = index_recording(bucket, recording, settled=settled)
     except (NotMcapError, LogUnusableError) as error:
@@ -87,15 +90,6 @@ def plan_recording(
     for part in index.truncated:
         on_truncated(part)
     return plan_index(index, settings, on_unread_labels=on_unread_labels)
-
-
-def _await_predictions(url: str, recording: Recording) -> None:
-    try:
-        find_prediction_files(url, recording.log_id)
-    except PredictionsMissingError as error:
-        raise PredictionsAwaitedError(str(error)) from None
-    except LogUnusableError:  # said by the plan, which reads them again
-        return
 
 
 def plan_index(

@@ -58,16 +58,32 @@ def find_prediction_files(url: str, log_id: str) -> tuple[PredictionFiles, str]:
         PredictionsMissingError: If there are none; the message names what was looked for.
     """
     bucket = open_predictions(url)
+    name, key, stems = _located(bucket, url, log_id)
+    if not stems:
+        return PredictionFiles(kind="boxes", key=key), _classes(bucket, name)
+    by_stamp = len(stems[0]) >= STAMP_DIGITS
+    found = PredictionFiles(kind="labels", key=key, by_stamp=by_stamp)
+    return found, _classes(bucket, name) or _usual_classes(bucket, name, stems)
+
+
+def need_prediction_files(url: str, log_id: str) -> None:
+    """Check that a log has files, without reading them.
+
+    Raises:
+        PredictionsMissingError: If there are none; the message names what was looked for.
+    """
+    _located(open_predictions(url), url, log_id)
+
+
+def _located(bucket: Bucket, url: str, log_id: str) -> tuple[str, str, list[str]]:
+    """Return the name of the files of a log, their key, and the stems of labels; none: boxes."""
     names = list(dict.fromkeys((log_id, log_id.rpartition("/")[2])))
     for name in names:
         for key in (pattern.format(name=name) for pattern in BOX_FILES):
             if bucket.head(key) is not None:
-                return PredictionFiles(kind="boxes", key=key), _classes(bucket, name)
-        stems = _stems(bucket, name)
-        if stems:
-            by_stamp = len(stems[0]) >= STAMP_DIGITS
-            found = PredictionFiles(kind="labels", key=f"{name}/", by_stamp=by_stamp)
-            return found, _classes(bucket, name) or _usual_classes(bucket, name, stems)
+                return name, key, []
+        if stems := _stems(bucket, name):
+            return name, f"{name}/", stems
     raise PredictionsMissingError(
         f"no predictions for {log_id}: none of {names[-1]}/000000{LABEL_SUFFIX}, "
         f"{' and '.join(each.format(name=names[-1]) for each in BOX_FILES)} is in the folder of "

@@ -241,19 +241,19 @@ class Worker:
         outcome = _outcome(error)
         is_plan = isinstance(lease, PlanLease)
         say = log.warning if outcome in ("failed", "replaced") else log.info
-        awaits = isinstance(error, PredictionsAwaitedError)
-        if outcome in ("store_away", "growing"):
+        if outcome in ("store_away", "growing", "awaits"):
             say = log.debug  # the wait for the store is logged; the service counts growing logs
-        if awaits and isinstance(lease, PlanLease) and not lease.settled:
+        if outcome == "awaits" and isinstance(lease, PlanLease) and not lease.settled:
             log.info("log waits for its predictions", problem=problem)  # said once
         else:
             say(f"{'plan' if is_plan else 'shard'} {outcome.replace('_', ' ')}", problem=problem)
-        if outcome == "growing":
-            self._metrics.plan_ended("growing")
-        elif outcome == "not_rescored":
-            self._metrics.shard_ended("not_rescored")
-        else:
-            self._count(lease, outcome)
+        match outcome:
+            case "growing" | "awaits":
+                self._metrics.plan_ended("growing")
+            case "not_rescored":
+                self._metrics.shard_ended("not_rescored")
+            case _:
+                self._count(lease, outcome)
         self._leases.fail(
             FailRequest(
                 worker_id=self._config.worker_id,
@@ -261,8 +261,8 @@ class Worker:
                 error=problem,
                 permanent=isinstance(error, PermanentError),
                 replaced=outcome == "replaced",
-                growing=outcome == "growing" and not awaits,
-                awaits=awaits,
+                growing=outcome == "growing",
+                awaits=outcome == "awaits",
                 given_back=outcome in ("given_back", "store_away"),
                 not_rescored=outcome == "not_rescored",
             ),
@@ -284,7 +284,7 @@ def _target(lease: Lease) -> tuple[str, str]:
     return lease.recording.log_id, lease.shard.name if isinstance(lease, MineLease) else ""
 
 
-def _outcome(error: Exception) -> SharedOutcome | Literal["growing", "not_rescored"]:
+def _outcome(error: Exception) -> SharedOutcome | Literal["growing", "awaits", "not_rescored"]:
     match error:
         case StoppedError():
             return "given_back"
@@ -294,6 +294,8 @@ def _outcome(error: Exception) -> SharedOutcome | Literal["growing", "not_rescor
             return "replaced"
         case StillGrowingError():
             return "growing"
+        case PredictionsAwaitedError():
+            return "awaits"
         case NotRescoredError():
             return "not_rescored"
         case _:
